@@ -1,0 +1,221 @@
+// Elastic models: each is a scalar function of the six invariants of a triangle (design, section 1).
+//
+// To add a bending variant: one struct with f(sin alpha, cos alpha) and one line in the table of elastic.cpp.
+// To add a material: one struct with stretching() (and bending() if it differs) and one line in that table.
+#pragma once
+
+#include "dual.hpp"
+
+namespace voile {
+inline namespace VOILE_ISA {
+
+// l_i: squared edge lengths; s_i, c_i: sine and cosine of alpha_i = theta_i/2 + s_i phi_i; dl = l - l_rest.
+template <class T>
+struct Invariants {
+  T l[3], s[3], c[3];
+};
+
+template <class T>
+struct Fabric {
+  T thickness, young, poisson;
+};
+
+template <class T>
+struct Sym2 {  // symmetric 2x2 [[a, b], [b, c]]
+  T a, b, c;
+  T det() const { return a * c - b * b; }
+  Sym2 inverse() const {
+    T i = T(1.0) / det();
+    return {c * i, -(b * i), a * i};
+  }
+};
+
+// First fundamental form in the basis of the edges from the first vertex; linear in the squared lengths.
+template <class T>
+inline Sym2<T> first_form(const T l[3]) {
+  return {l[2], 0.5 * (l[1] + l[2] - l[0]), l[1]};
+}
+
+// Second fundamental form in the same basis from II_i = 2 altitude_i f(alpha_i).
+template <class Bending, class T>
+inline Sym2<T> second_form(const Invariants<T>& q, const T& det) {
+  T ii[3];
+  for (int i = 0; i < 3; ++i) ii[i] = 2.0 * (sqrt(det / q.l[i]) * Bending::f(q.s[i], q.c[i]));
+  return {ii[0] + ii[1], ii[0], ii[0] + ii[2]};
+}
+
+// |M|^2 = lambda/2 tr(M)^2 + mu tr(M^2) for M = inverse * s, both symmetric.
+template <class T>
+inline T saint_venant(const Sym2<T>& inverse, const Sym2<T>& s, const T& lambda, const T& mu) {
+  T m11 = inverse.a * s.a + inverse.b * s.b, m12 = inverse.a * s.b + inverse.b * s.c;
+  T m21 = inverse.b * s.a + inverse.c * s.b, m22 = inverse.b * s.b + inverse.c * s.c;
+  T trace = m11 + m22;
+  return 0.5 * (lambda * trace * trace) + mu * (m11 * m11 + 2.0 * (m12 * m21) + m22 * m22);
+}
+
+// Plane-stress Lame constants: lambda = E nu/(1-nu^2), mu = E/(2(1+nu)).
+template <class T>
+inline T lame_lambda(const Fabric<T>& f) {
+  return f.young * f.poisson / (T(1.0) - f.poisson * f.poisson);
+}
+template <class T>
+inline T lame_mu(const Fabric<T>& f) {
+  return 0.5 * (f.young / (T(1.0) + f.poisson));
+}
+
+// ---- bending variants: f of sin(alpha), cos(alpha) ----
+
+struct Average {  // sin with all director angles zero: the mid-edge normal bisects the two face normals
+  static constexpr bool directors = false;
+  template <class T>
+  static T f(const T& s, const T&) {
+    return s;
+  }
+};
+struct Sin {
+  static constexpr bool directors = true;
+  template <class T>
+  static T f(const T& s, const T&) {
+    return s;
+  }
+};
+struct Tan {  // infinite at a fully folded hinge
+  static constexpr bool directors = true;
+  template <class T>
+  static T f(const T& s, const T& c) {
+    return s / select(value(c).p > 0.0, c, T(0.0));
+  }
+};
+struct Theta {
+  static constexpr bool directors = true;
+  template <class T>
+  static T f(const T& s, const T& c) {
+    return angle(s, c);
+  }
+};
+
+// ---- materials: energies per unit rest area; dA = A - A_rest ----
+
+struct StVK {
+  template <class T>
+  static T stretching(const Sym2<T>&, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
+    return 0.25 * (f.thickness * saint_venant(inverse, da, lame_lambda(f), lame_mu(f)));
+  }
+  template <class T>
+  static T bending(const Sym2<T>&, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+                   const Fabric<T>& f) {
+    Sym2<T> db{b.a - b_rest.a, b.b - b_rest.b, b.c - b_rest.c};
+    T cube = f.thickness * f.thickness * f.thickness;
+    return (1.0 / 12.0) * (cube * saint_venant(inverse, db, lame_lambda(f), lame_mu(f)));
+  }
+};
+
+struct NeoHookean {
+  template <class T>
+  static T stretching(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
+    T trace = inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c;  // tr(A_rest^-1 A) - 2
+    T log_j = 0.5 * log(a.det() * inverse.det());
+    return 0.5 * (f.thickness * (lame_mu(f) * (trace - 2.0 * log_j) + lame_lambda(f) * log_j * log_j));
+  }
+  template <class T>
+  static T bending(const Sym2<T>& a, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+                   const Fabric<T>& f) {
+    Sym2<T> i = a.inverse();
+    T m11 = i.a * b.a + i.b * b.b - inverse.a * b_rest.a - inverse.b * b_rest.b;
+    T m12 = i.a * b.b + i.b * b.c - inverse.a * b_rest.b - inverse.b * b_rest.c;
+    T m21 = i.b * b.a + i.c * b.b - inverse.b * b_rest.a - inverse.c * b_rest.b;
+    T m22 = i.b * b.b + i.c * b.c - inverse.b * b_rest.b - inverse.c * b_rest.c;
+    T trace = m11 + m22, cube = f.thickness * f.thickness * f.thickness;
+    T norm = 0.5 * (lame_lambda(f) * trace * trace) + lame_mu(f) * (m11 * m11 + 2.0 * (m12 * m21) + m22 * m22);
+    return (1.0 / 12.0) * (cube * norm);
+  }
+};
+
+// Relaxed St. Venant-Kirchhoff (tension field: Pipkin 1986, Steigmann 1990): with principal Green strains
+// e1 >= e2, taut where e2 >= -nu e1 (both stresses tensile), wrinkled (uniaxial, E h e1^2/2) where only e1 > 0,
+// slack (zero) where e1 <= 0.
+struct TensionField {
+  template <class T>
+  static T stretching(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
+    T trace = inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c;  // 2 (e1 + e2)
+    T det = inverse.det() * da.det();                                          // 4 e1 e2
+    T disc = 0.25 * (trace * trace) - det;
+    auto split = value(disc).p > 0.0;
+    T root = select(split, sqrt(select(split, disc, T(1.0))), T(0.0));
+    T e1 = 0.5 * (0.5 * trace + root), e2 = 0.5 * (0.5 * trace - root);
+    T taut = StVK::stretching(a, da, inverse, f);
+    T wrinkled = 0.5 * (f.thickness * f.young * e1 * e1);
+    T margin1 = e1 + f.poisson * e2, margin2 = e2 + f.poisson * e1;
+    T some = select(value(e1).p > 0.0, wrinkled, T(0.0));
+    return select((value(margin2).p >= 0.0) & (value(margin1).p >= 0.0), taut, some);
+  }
+  template <class T>
+  static T bending(const Sym2<T>& a, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+                   const Fabric<T>& f) {
+    return StVK::bending(a, b, inverse, b_rest, f);
+  }
+};
+
+// ---- models: energy of one triangle, split into stretching and bending ----
+
+template <class T>
+struct Energy {
+  T stretching, bending;
+};
+
+template <class Material>
+struct Membrane {
+  static constexpr bool bends = false, directors = false, quadratic = std::is_same_v<Material, StVK>;
+  using Fibre = Average;
+  template <class T>
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
+    Sym2<T> rest = first_form(r.l);
+    T area = 0.5 * sqrt(rest.det());
+    return {area * Material::stretching(first_form(q.l), first_form(dl), rest.inverse(), f), T(0.0)};
+  }
+};
+
+template <class Bending, class Material>
+struct Koiter {
+  static constexpr bool bends = true, directors = Bending::directors, quadratic = std::is_same_v<Material, StVK>;
+  using Fibre = Bending;
+  template <class T>
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
+    Sym2<T> a = first_form(q.l), rest = first_form(r.l), inverse = rest.inverse();
+    T det = rest.det(), area = 0.5 * sqrt(det);
+    T stretching = Material::stretching(a, first_form(dl), inverse, f);
+    T bending = Material::bending(a, second_form<Bending>(q, a.det()), inverse, second_form<Bending>(r, det), f);
+    return {area * stretching, area * bending};
+  }
+};
+
+// Discrete Shells (Grinspun et al. 2003): lengths, area, hinge angles. The stiffnesses are those that give the
+// isotropic plate on an equilateral mesh: bending D/6 per hinge side |e|^2/altitude weight, lengths 4/3 mu,
+// area (lambda - mu)/2 (not negative: the hinge and spring terms alone have Poisson's ratio 1/3).
+struct DiscreteShells {
+  static constexpr bool bends = true, directors = false, quadratic = false;
+  using Fibre = Theta;
+  template <class T>
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
+    T det = first_form(q.l).det(), det_rest = first_form(r.l).det(), area = 0.5 * sqrt(det_rest);
+    T lambda = lame_lambda(f), mu = lame_mu(f);
+    T lengths = T(0.0), hinges = T(0.0);
+    for (int i = 0; i < 3; ++i) {
+      T root = sqrt(r.l[i]);
+      T strain = dl[i] / (root * (sqrt(q.l[i]) + root));  // |e|/|e_rest| - 1
+      lengths = lengths + strain * strain;
+      T fold = 2.0 * (angle(q.s[i], q.c[i]) - angle(r.s[i], r.c[i]));
+      hinges = hinges + (r.l[i] / sqrt(det_rest)) * fold * fold;  // |e|/altitude
+    }
+    T growth = sqrt(det / det_rest) - 1.0;
+    T rest_of_area = 0.5 * (lambda - mu);
+    rest_of_area = select(value(rest_of_area).p > 0.0, rest_of_area, T(0.0));
+    T cube = f.thickness * f.thickness * f.thickness;
+    T flexural = f.young * cube / (12.0 * (T(1.0) - f.poisson * f.poisson));
+    T stretching = area * f.thickness * ((4.0 / 3.0) * (mu * lengths) + rest_of_area * growth * growth);
+    return {stretching, 0.25 * (flexural * hinges)};
+  }
+};
+
+}  // namespace VOILE_ISA
+}  // namespace voile

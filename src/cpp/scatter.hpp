@@ -1,0 +1,121 @@
+// From triangle blocks to a sparse matrix whose pattern is fixed once: every block's place is looked up beforehand.
+//
+// Nodes are vertices (three displacements) and edges (one director angle). Their degrees of freedom are affine in
+// the unknowns, dof = C unknown + lift (supports, seams); C is the identity for nearly all nodes, and the triangles
+// whose nodes are all plain (identity) or absent (eliminated) take the fast path, the others expand C.
+#pragma once
+
+#include <climits>
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+#include "elastic.hpp"
+
+namespace voile {
+
+constexpr int NODES = 9;  // three corners, three vertices across the edges, three edges
+constexpr int DOFS = 21;
+constexpr int ABSENT = INT_MIN;
+
+// First local degree of freedom of a node's place in a triangle, and the number of them.
+constexpr int node_dof(int a) { return a < 6 ? 3 * a : 12 + a; }
+constexpr int node_size(int a) { return a < 6 ? 3 : 1; }
+
+// Start of block (a, b), a <= b, in the packed upper triangle of blocks; row-major inside a block.
+constexpr int block_start(int a, int b) {
+  int start = 0;
+  for (int i = 0; i < NODES; ++i)
+    for (int j = i; j < NODES; ++j) {
+      if (i == a && j == b) return start;
+      start += node_size(i) * node_size(j);
+    }
+  return start;
+}
+constexpr int BLOCKS_LENGTH = block_start(NODES, NODES);
+
+struct BlockTable {
+  int start[NODES][NODES] = {};
+  constexpr BlockTable() {
+    for (int a = 0; a < NODES; ++a)
+      for (int b = a; b < NODES; ++b) start[a][b] = start[b][a] = block_start(a, b);
+  }
+};
+inline constexpr BlockTable BLOCKS{};
+
+// Compressed sparse rows as PETSc keeps them (32-bit indices), values written in place.
+struct Rows {
+  const int* start = nullptr;
+  const int* column = nullptr;
+  double* value = nullptr;
+};
+
+struct Scatter {
+  int owned = 0;                   // rows of this rank: local unknowns [0, owned)
+  int nodes = NODES;               // 6 without edge unknowns
+  std::vector<int> triangle_node;  // (m, 9) node index, -1 absent; vertices first, then edges
+  std::vector<int> first;          // per node: first unknown if plain, -1 eliminated, -2 otherwise
+  std::vector<int> dof_start, dof_unknown;
+  std::vector<double> dof_weight;  // C in compressed rows, dofs: 3*vertex + axis, then edges
+  int vertices = 0;
+  std::vector<char> plain;        // per triangle
+  std::vector<int> position;      // per triangle nodes*nodes places
+  std::vector<int> ghost_column;  // local unknown - owned -> column of the off-rank part
+  Rows inside, outside;           // columns of this rank, and of the others
+
+  Scatter(const Mesh& mesh, bool with_edges, int owned_unknowns, std::vector<int> c_start,
+          std::vector<int> c_unknown, std::vector<double> c_weight);
+
+  // Pattern of the owned rows in local unknowns, sorted by rank[unknown] (the global number).
+  void pattern(const int64_t* rank, std::vector<int64_t>& start, std::vector<int>& column) const;
+  void bind(Rows inside_rows, Rows outside_rows, std::vector<int> ghost_columns);
+  void clear();
+
+  // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's Hessian.
+  template <int L>
+  void add(int t, const double* buffer, int lane) {
+    if (!plain[t]) {
+      double block[BLOCKS_LENGTH];
+      for (int k = 0; k < BLOCKS_LENGTH; ++k) block[k] = buffer[k * L + lane];
+      add_expanded(t, block);
+      return;
+    }
+    const int* node = &triangle_node[(size_t)NODES * t];
+    const int* place = &position[(size_t)nodes * nodes * t];
+    for (int a = 0; a < nodes; ++a) {
+      if (node[a] < 0) continue;
+      int row = first[node[a]];
+      if (row < 0 || row >= owned) continue;
+      for (int b = 0; b < nodes; ++b) {
+        int at = place[a * nodes + b];
+        if (at == ABSENT) continue;
+        const Rows& target = at >= 0 ? inside : outside;
+        if (at < 0) at = ~at;
+        const double* source = buffer + (size_t)BLOCKS.start[a][b] * L + lane;
+        if (a < 6 && b < 6)
+          add_block<L, 3, 3>(target, row, at, source, a <= b);
+        else if (a < 6)
+          add_block<L, 3, 1>(target, row, at, source, true);
+        else if (b < 6)
+          add_block<L, 1, 3>(target, row, at, source, false);
+        else
+          add_block<L, 1, 1>(target, row, at, source, true);
+      }
+    }
+  }
+
+ private:
+  template <int L, int R, int C>
+  static void add_block(const Rows& target, int row, int at, const double* source, bool upper) {
+    for (int r = 0; r < R; ++r) {
+      double* value = target.value + target.start[row + r] + at;
+      for (int c = 0; c < C; ++c) value[c] += source[(upper ? r * C + c : c * R + r) * L];
+    }
+  }
+  void add_expanded(int t, const double* block);
+  int find(int row, int unknown) const;  // place in the row as in position, ABSENT if not there
+  int triangle_dof(int t, int k) const;  // global dof of the triangle's k-th, -1 absent
+  int count() const { return (int)(triangle_node.size() / NODES); }
+};
+
+}  // namespace voile
