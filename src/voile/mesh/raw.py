@@ -1,0 +1,59 @@
+"""A mesh as its file says it, before any check or repair."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class RawMesh:
+    """What a reader found; vertices and triangles are counted from 0 in the file's order.
+
+    points (n, 3) float64; triangles (m, 3) int64; group (m,) int32 index into group_names;
+    texture (nt, 2) with texture_triangles (m, 3), both None where the file has none;
+    stitch_vertices (s, 3) int64 (slave, first, second) and stitch_weight (s,);
+    point_lines (n,), triangle_lines (m,), stitch_lines (s,): line numbers from 1 in a text file, else None.
+    """
+
+    source: str
+    points: np.ndarray
+    triangles: np.ndarray
+    group: np.ndarray
+    group_names: tuple[str, ...]
+    texture: np.ndarray | None = None
+    texture_triangles: np.ndarray | None = None
+    stitch_vertices: np.ndarray | None = None
+    stitch_weight: np.ndarray | None = None
+    point_lines: np.ndarray | None = None
+    triangle_lines: np.ndarray | None = None
+    stitch_lines: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+    def vertex(self, index: int) -> str:
+        """Name of a vertex in a message."""
+        return f"vertex {index}" + _line(self.point_lines, index)
+
+    def triangle(self, index: int) -> str:
+        """Name of a triangle in a message."""
+        corners = ", ".join(str(v) for v in self.triangles[index])
+        return f"triangle {index} (vertices {corners})" + _line(self.triangle_lines, index)
+
+    def stitch(self, index: int) -> str:
+        """Name of a stitch record in a message."""
+        return f"stitch {index}" + _line(self.stitch_lines, index)
+
+
+def _line(lines: np.ndarray | None, index: int) -> str:
+    return "" if lines is None else f" in line {lines[index]}"
+
+
+def fan(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fan triangulation of polygons with `corners` (p,) >= 3 corners each, stored one after the other.
+
+    Returns (m, 3) positions in that storage and (m,) the polygon of each triangle.
+    """
+    pieces = corners - 2
+    polygon = np.repeat(np.arange(len(corners)), pieces)
+    start = (np.cumsum(corners) - corners)[polygon]
+    step = np.arange(len(polygon)) - (np.cumsum(pieces) - pieces)[polygon] + 1
+    return np.column_stack([start, start + step, start + step + 1]), polygon

@@ -1,0 +1,255 @@
+"""The shell's mid-surface as read from a file, and its rest shape."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.mesh.checks import check_coordinates, check_triangles, flat_triangles, orient, sew
+from voile.mesh.obj import read_obj
+from voile.mesh.raw import RawMesh, fan
+from voile.mesh.stitches import Stitches
+
+if TYPE_CHECKING:
+    import meshio
+
+_GROUP_DATA = ("gmsh:physical", "groups", "group", "medit:ref", "cell_tags", "gmsh:geometrical")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """An edge-manifold, consistently oriented triangle mesh; several components, pinch vertices are allowed.
+
+    points (n, 3) float64 in metres; triangles (m, 3) int32; group (m,) int32 index into group_names;
+    texture (nt, 2) float64 in metres and texture_triangles (m, 3) int32, None without texture coordinates;
+    stitches in the numbering of points, None without; input_vertex (n,) int64, increasing, the index of each
+    vertex in the file, which has input_vertices of them; input_triangle (m,) int64, increasing, and
+    input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source: the file.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    group: np.ndarray
+    group_names: tuple[str, ...]
+    texture: np.ndarray | None
+    texture_triangles: np.ndarray | None
+    stitches: Stitches | None
+    input_vertex: np.ndarray
+    input_vertices: int
+    input_triangle: np.ndarray
+    input_triangles: int
+    notes: tuple[str, ...]
+    source: str
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Rest shape: points (nr, 3) in metres and triangles (m, 3) int32, corner by corner those of the surface.
+
+    flat: the points are plane panels (z = 0), whose numbering may differ from the surface's along seams.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    flat: bool
+
+
+def read_mesh(path: str | Path, scale: float = 1.0, seams: bool = True) -> Surface:
+    """Read a surface: OBJ with groups (`g`, else `o`), texture and stitches, or what meshio reads.
+
+    `scale` turns the file's unit of length into metres, for points and texture coordinates alike.
+    Polygons are split into triangle fans. Clashing orientations are repaired, unused vertices and triangles
+    that vanish in a seam dropped, each with a note; without `seams` stitches are passed over.
+    Raises InputError naming file, line, vertex or triangle if the file or the mesh cannot be used.
+    """
+    raw = _read_raw(Path(path), scale)
+    if not seams:
+        raw.stitch_vertices = raw.stitch_weight = None
+    check_coordinates(raw)
+    check_triangles(raw)
+    flip = orient(raw)
+    used = np.zeros(len(raw.points), dtype=bool)
+    used[raw.triangles] = True
+    keep = sew(raw, used)
+    vertices, triangles = np.flatnonzero(used), np.flatnonzero(keep)
+    new = (np.cumsum(used) - 1).astype(np.int32)
+    texture_triangles = raw.texture_triangles
+    stitches = None
+    if raw.stitch_vertices is not None and raw.stitch_weight is not None:
+        stitches = Stitches(*new[raw.stitch_vertices].T.copy(), raw.stitch_weight)
+    return Surface(
+        points=np.ascontiguousarray(raw.points[vertices]),
+        triangles=_flipped(new[raw.triangles], flip)[triangles],
+        group=raw.group.astype(np.int32)[triangles],
+        group_names=raw.group_names,
+        texture=raw.texture,
+        texture_triangles=None if texture_triangles is None else _flipped(texture_triangles, flip)[triangles],
+        stitches=stitches,
+        input_vertex=vertices.astype(np.int64),
+        input_vertices=len(used),
+        input_triangle=triangles.astype(np.int64),
+        input_triangles=len(keep),
+        notes=(*raw.notes, *_repairs(flip, keep, used)),
+        source=raw.source,
+    )
+
+
+def _repairs(flip: np.ndarray, keep: np.ndarray, used: np.ndarray) -> list[str]:
+    notes = []
+    if flip.any():
+        notes.append(f"{flip.sum()} of {len(flip)} triangles flipped for a consistent orientation")
+    if not keep.all():
+        names = ", ".join(str(t) for t in np.flatnonzero(~keep)[:8]) + (", ..." if (~keep).sum() > 8 else "")
+        notes.append(f"{(~keep).sum()} of {len(keep)} triangles dropped, their seams join them away: {names}")
+    if not used.all():
+        notes.append(f"{(~used).sum()} of {len(used)} vertices dropped, they belong to no triangle")
+    return notes
+
+
+def read_rest(spec: str | None, surface: Surface, relative_to: str | Path, scale: float = 1.0) -> Rest:
+    """Rest shape: `surface` itself (None), its texture coordinates ("flat"), or a file of the same triangles.
+
+    A file is found from the folder `relative_to` and takes `scale`, the metres per unit of its points;
+    texture coordinates were scaled with their mesh in read_mesh, `scale` does not touch them again.
+    Raises InputError without texture coordinates, at the first triangle that differs from the surface's, and
+    at one without area.
+    """
+    if spec is None:
+        return Rest(surface.points, surface.triangles, flat=False)
+    if spec == "flat":
+        if surface.texture is None or surface.texture_triangles is None:
+            raise InputError(
+                f"{surface.source}: rest = 'flat' needs texture coordinates (OBJ 'vt') at every corner of "
+                "every face; there are none"
+                + "".join(f" ({note})" for note in surface.notes if note.startswith("texture"))
+            )
+        points = np.column_stack([surface.texture, np.zeros(len(surface.texture))])
+        rest, source = (
+            Rest(points, surface.texture_triangles, flat=True),
+            f"{surface.source}, texture coordinates",
+        )
+    else:
+        raw = _read_raw(Path(relative_to) / spec, scale)
+        check_coordinates(raw)
+        _check_same_triangles(raw, surface)
+        rest, source = Rest(raw.points[surface.input_vertex], surface.triangles, flat=False), raw.source
+    degenerate = flat_triangles(rest.points, rest.triangles)
+    if len(degenerate):
+        where = degenerate[0]
+        corners = rest.points[rest.triangles[where]].tolist()
+        raise InputError(
+            f"{source}: triangle {where} has no area in the rest shape, its corners are {corners}"
+        )
+    return rest
+
+
+def _check_same_triangles(raw: RawMesh, surface: Surface) -> None:
+    """Corners are compared as sets: where a face starts, and which way it turns, is the surface's to say."""
+    if len(raw.triangles) != surface.input_triangles:
+        raise InputError(
+            f"{raw.source}: {len(raw.triangles)} triangles, but {surface.source} has "
+            f"{surface.input_triangles}; a rest shape needs the same triangles in the same order"
+        )
+    expected = surface.input_vertex[surface.triangles]
+    found = raw.triangles[surface.input_triangle]
+    differs = (np.sort(found, axis=1) != np.sort(expected, axis=1)).any(axis=1)
+    if differs.any():
+        t = int(np.argmax(differs))
+        corners = ", ".join(str(v) for v in expected[t])
+        raise InputError(
+            f"{raw.source}: {raw.triangle(surface.input_triangle[t])} is not that of {surface.source} "
+            f"(vertices {corners}); a rest shape needs the same triangles in the same order"
+        )
+
+
+def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
+    """Triangles (m, 3) int32 with the last two corners swapped where `flip`."""
+    return np.ascontiguousarray(np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles), dtype=np.int32)
+
+
+def _read_raw(path: Path, scale: float) -> RawMesh:
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"{path}: scale = {scale}, allowed: a positive number (metres per unit of the file)")
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the mesh file is empty")
+    raw = read_obj(path) if path.suffix.lower() == ".obj" else _read_meshio(path)
+    raw.points = raw.points * scale
+    raw.texture = None if raw.texture is None else raw.texture * scale
+    return raw
+
+
+def _read_meshio(path: Path) -> RawMesh:
+    """Any other format: triangles, quads and polygons; points, lines and their data are passed over."""
+    import meshio
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            mesh = meshio.read(path)
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # its readers raise anything at a broken file, or leave the program
+        reason = said.getvalue().strip() if isinstance(error, SystemExit) else str(error)
+        raise InputError(f"{path}: cannot be read as a mesh: {' '.join(reason.split())}") from error
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"{path}: points of shape {points.shape}, allowed: 2 or 3 coordinates a point")
+    points = np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
+    triangles, tags, names = [], [], _group_names(mesh)
+    for block, (cells, tag) in enumerate(zip(mesh.cells, _group_tags(mesh), strict=True)):
+        if cells.dim < 2 and cells.type not in ("polygon",):
+            continue
+        if cells.type not in ("triangle", "quad") and not cells.type.startswith("polygon"):
+            raise InputError(
+                f"{path}: cell block {block} holds '{cells.type}' cells, allowed: triangle, quad, polygon "
+                "(vertices and lines are passed over)"
+            )
+        corners = np.array([len(cell) for cell in cells.data], dtype=np.int64)
+        storage = np.concatenate([np.asarray(cell, dtype=np.int64) for cell in cells.data])
+        at, cell = fan(corners)
+        triangles.append(storage[at])
+        tags.append(np.asarray(tag)[cell])
+    tag = np.concatenate(tags) if tags else np.zeros(0, dtype=np.int64)
+    used, group = np.unique(tag, return_inverse=True)
+    return RawMesh(
+        source=str(path),
+        points=points,
+        triangles=np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64),
+        group=group,
+        group_names=tuple(names.get(int(i), str(i)) for i in used),
+    )
+
+
+def _group_tags(mesh: meshio.Mesh) -> list[np.ndarray]:
+    """Integer group tag of every cell, block by block: from cell sets, else the first known cell data."""
+    sets = {name: s for name, s in mesh.cell_sets.items() if not name.startswith("gmsh:")}
+    tags = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
+    if sets:
+        for number, members in enumerate(sets.values(), 1):
+            for tag, member in zip(tags, members, strict=True):
+                if member is not None:
+                    tag[np.asarray(member, dtype=np.int64)] = number
+        return tags
+    for key in _GROUP_DATA:
+        if key in mesh.cell_data:
+            return [np.asarray(data, dtype=np.int64).ravel() for data in mesh.cell_data[key]]
+    return tags
+
+
+def _group_names(mesh: meshio.Mesh) -> dict[int, str]:
+    """Names of the tags of _group_tags where the file gives any."""
+    sets = [name for name in mesh.cell_sets if not name.startswith("gmsh:")]
+    if sets:
+        return {0: "default", **dict(enumerate(sets, 1))}
+    if not any(key in mesh.cell_data for key in _GROUP_DATA):
+        return {0: "default"}
+    return {int(tag): name for name, (tag, dimension) in mesh.field_data.items() if int(dimension) == 2}
