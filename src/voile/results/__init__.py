@@ -1,0 +1,20 @@
+"""Results of a run: the file `result.vtkhdf` and `summary.json`."""
+
+from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
+from voile.results.reader import Restart, Result, read_result
+from voile.results.summary import read_summary, write_summary
+from voile.results.writer import ResultWriter, StaticMesh, prepare_output
+
+__all__ = [
+    "CELL_FIELDS",
+    "POINT_FIELDS",
+    "Field",
+    "Restart",
+    "Result",
+    "ResultWriter",
+    "StaticMesh",
+    "prepare_output",
+    "read_result",
+    "read_summary",
+    "write_summary",
+]

@@ -1,0 +1,45 @@
+"""Names, units and shapes of everything a result file may hold: the one table for writer, reader and post."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Field:
+    """One quantity: SI unit ("" = none), meaning, numbers per row (0 = scalar), storage type."""
+
+    unit: str
+    meaning: str
+    components: int = 0
+    dtype: type = np.float64
+
+    @property
+    def row_shape(self) -> tuple[int, ...]:
+        return (self.components,) if self.components else ()
+
+
+POINT_FIELDS = {
+    "start": Field("m", "position at the start of the run", 3),
+    "rest": Field("m", "rest position (one of them where the rest shape has its own vertices)", 3),
+    "input_vertex": Field("", "index of the vertex in the input mesh file", dtype=np.int64),
+    "reaction": Field("N", "contact reaction on the shell", 3),
+    "gap": Field("m", "distance to the nearest obstacle, negative inside"),
+    "contact": Field("", "0 free, 1 stick, 2 slip", dtype=np.uint8),
+    "velocity": Field("m/s", "velocity", 3),
+    "acceleration": Field("m/s^2", "acceleration", 3),
+}
+
+CELL_FIELDS = {
+    "group": Field("", "index of the triangle's group in /voile group_names", dtype=np.int32),
+    "thickness": Field("m", "rest thickness"),
+    "energy_density": Field("J/m^2", "elastic energy per rest area"),
+    "stretching_density": Field("J/m^2", "stretching energy per rest area"),
+    "bending_density": Field("J/m^2", "bending energy per rest area"),
+    "strain": Field("", "largest principal Green strain"),
+    "curvature": Field("1/m", "principal curvature of largest magnitude"),
+}
+
+EDGE_ANGLES = Field("rad", "director angle of the edge")

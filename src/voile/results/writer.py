@@ -1,0 +1,383 @@
+"""Writing `result.vtkhdf`: VTKHDF 2.0, a temporal UnstructuredGrid whose topology is stored once.
+
+UnstructuredGrid rather than PolyData: its temporal form is the oldest (ParaView 5.12, VTK 9.3), and PolyData's
+four cell lists per step buy nothing for triangles.
+
+A run may be killed at any moment. So all HDF5 metadata is laid down once, for a capacity of steps, in a file under a
+temporary name; a step then writes raw rows at fixed places that no reader looks at yet, and commits by storing one
+integer, the attribute NSteps. Where the capacity runs out the file is rebuilt at twice the size beside the old one and
+renamed over it; closing rebuilds it to the exact size. Rows not yet written are holes and take no disk space.
+
+VTK copies all of Steps/Values into an array of NSteps numbers, so Values must never be longer than NSteps: it grows
+just after. A kill between these two writes leaves VTK with the time 0 for the last step; `read_result` takes the times
+from its own copy, written before the commit.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.results.fields import CELL_FIELDS, EDGE_ANGLES, FORMAT_VERSION, POINT_FIELDS, Field
+from voile.results.slabs import Slabs
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+CAPACITY = 16  # steps, at first
+COPY_BYTES = 1 << 26  # per piece when a file is rebuilt
+VTK_TRIANGLE = 5
+POINTS, EDGES = "VTKHDF/Points", "voile/edge_angles"
+STEPS, VALUES, OWN_VALUES = "VTKHDF/Steps", "VTKHDF/Steps/Values", "voile/values"
+
+
+def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
+    """Make the output directory and prove that it can be written, before anything is computed. Collective.
+
+    Touches no result that is there. Raises InputError on every rank.
+    """
+    directory = Path(directory)
+
+    def probe() -> None:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            trial = directory / ".result.part"
+            with open(trial, "ab"):
+                pass
+            trial.unlink()
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise InputError(
+                f"{directory}: cannot write results there ({why}); a writable directory expected"
+            ) from None
+
+    _on_root(comm, probe)
+    return directory
+
+
+@dataclass(frozen=True)
+class StaticMesh:
+    """What does not change over the steps, in the input's order; needed on rank 0 only.
+
+    start (n, 3) m; triangles (m, 3); rest (nr, 3) m, None = start; rest_triangles (m, 3) where the rest shape has its
+    own vertices (seams of a flat panel), None = triangles; edges (e, 2) of the director angles, None = none;
+    group (m,) with its names; point_data / cell_data: further fields of the table in `fields` that stay as they are.
+    """
+
+    start: np.ndarray
+    triangles: np.ndarray
+    rest: np.ndarray | None = None
+    rest_triangles: np.ndarray | None = None
+    edges: np.ndarray | None = None
+    group: np.ndarray | None = None
+    group_names: tuple[str, ...] = ()
+    point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
+    cell_data: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Stepped:
+    """A dataset with `rows` rows per step."""
+
+    rows: int
+    spec: Field
+
+
+class ResultWriter:
+    """Writes steps to `path`, every rank its own rows. All methods are collective over `comm`.
+
+    mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was built
+    with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the latter.
+    A result already at `path` stays until the first step is complete; it and its summary are then kept as
+    `*.previous.*`. A writer is a context manager; after a crash the file holds the last complete step.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        comm: MPI.Comm,
+        *,
+        mesh: StaticMesh | None,
+        scene_text: str = "",
+        versions: Mapping[str, str] | None = None,
+        gather: bool = False,
+    ):
+        self.path, self.comm, self.steps = Path(path), comm, 0
+        self._scene_text, self._versions = scene_text, dict(versions or {})
+        self._h5py = import_h5py(comm)
+        gather = gather or os.environ.get("VOILE_GATHER", "") not in ("", "0")
+        self.parallel = comm.size > 1 and bool(self._h5py.get_config().mpi) and not gather
+        self._static: dict[str, np.ndarray] = {}
+        self._group_names: tuple[str, ...] = ()
+        if comm.rank == 0:
+            if mesh is None:
+                raise ValueError("rank 0 must pass the mesh")
+            self._static, self._group_names = _static_datasets(mesh), mesh.group_names
+            sizes = [len(mesh.start), len(mesh.triangles), 0 if mesh.edges is None else len(mesh.edges)]
+        self.n_points, self.n_cells, self.n_edges = comm.bcast(sizes if comm.rank == 0 else None)
+        self._stepped: dict[str, _Stepped] = {}
+        self._capacity = CAPACITY
+        self._file: Any = None
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def write_step(
+        self,
+        value: float,
+        points: np.ndarray,
+        point_index: np.ndarray,
+        *,
+        point_data: Mapping[str, np.ndarray] | None = None,
+        cell_data: Mapping[str, np.ndarray] | None = None,
+        cell_index: np.ndarray | None = None,
+        edge_angles: np.ndarray | None = None,
+        edge_index: np.ndarray | None = None,
+        scalars: Mapping[str, float] | None = None,
+    ) -> None:
+        """Append one step at `value` (time in s or load factor); complete on disk's page cache when it returns.
+
+        points (k, 3) m and point_data {name: (k, ...)} of the vertices this rank owns, point_index (k,) their place
+        in the input's order; cell_data and edge_angles likewise with their index. scalars: figures of the step,
+        the same on all ranks. Every step has the same names; names are those of `fields` (ValueError otherwise).
+        """
+        rows: dict[str, tuple[Any, int, Any, Field]] = {
+            POINTS: (points, self.n_points, point_index, Field("m", "position", 3))
+        }
+        for name, data in (point_data or {}).items():
+            rows[f"VTKHDF/PointData/{name}"] = (data, self.n_points, point_index, _known(POINT_FIELDS, name))
+        for name, data in (cell_data or {}).items():
+            rows[f"VTKHDF/CellData/{name}"] = (data, self.n_cells, cell_index, _known(CELL_FIELDS, name))
+        if edge_angles is not None:
+            rows[EDGES] = (edge_angles, self.n_edges, edge_index, EDGE_ANGLES)
+        single = {f"voile/steps/{name}": float(x) for name, x in (scalars or {}).items()}
+        single[OWN_VALUES] = float(value)
+        self._open({path: _Stepped(n, spec) for path, (_, n, _, spec) in rows.items()}, single)
+        slabs: dict[tuple[int, int], Slabs] = {}
+        for path, (data, n, index, spec) in rows.items():
+            plan = slabs.get((n, id(index)))
+            if plan is None:
+                plan = slabs[n, id(index)] = Slabs(self.comm, n, index, gather=not self.parallel)
+            slab = plan.move(np.asarray(data, dtype=spec.dtype).reshape(len(index), *spec.row_shape))
+            if self._file is not None:
+                begin = self.steps * n
+                self._file[path][begin + plan.begin : begin + plan.end] = slab
+        self._commit(value, single)
+
+    def close(self) -> None:
+        """Close the file, cut to the steps it holds. Collective; a second call does nothing."""
+        if self._stepped and self._capacity != self.steps:
+            self._rebuild(self.steps)
+        if self._file is not None:
+            self._file.close()
+        self._file, self._stepped = None, {}
+
+    def _open(self, stepped: dict[str, _Stepped], single: Mapping[str, float]) -> None:
+        """Create the file at the first step, make room at later ones."""
+        one = Field("", "figure of a step")
+        stepped = stepped | {path: _Stepped(1, one) for path in single}
+        if not self._stepped:
+            self._stepped = stepped
+            _on_root(self.comm, lambda: self._create(self._part, self._capacity, self._static))
+            self._static = {}
+            self._reopen(self._part)
+        elif stepped != self._stepped:
+            changed = sorted(set(stepped) ^ set(self._stepped))
+            raise ValueError(
+                f"every step of a result has the same fields; these come and go: {', '.join(changed)}"
+            )
+        elif self.steps == self._capacity:
+            self._rebuild(2 * self._capacity)
+
+    @property
+    def _part(self) -> Path:
+        return self.path.with_name(f".{self.path.name}.part")
+
+    def _reopen(self, path: Path) -> None:
+        self.comm.barrier()
+        if self.parallel:
+            self._file = self._h5py.File(path, "r+", driver="mpio", comm=self.comm)
+        elif self.comm.rank == 0:  # no lock: ParaView may look on while the run goes
+            self._file = self._h5py.File(path, "r+", locking=False)
+
+    def _commit(self, value: float, single: Mapping[str, float]) -> None:
+        """Make the step visible: NSteps goes up when all its rows are in the file."""
+        if self._file is not None:
+            if self.comm.rank == 0:
+                for path, x in single.items():
+                    self._file[path][self.steps] = x
+            self._file.flush()
+        self.comm.barrier()
+        self.steps += 1
+        if self._file is not None:
+            self._file[STEPS].attrs.modify("NSteps", np.int64(self.steps))
+            self._file.flush()
+            self._file[VALUES].resize((self.steps,))
+            if self.comm.rank == 0:
+                self._file[VALUES][self.steps - 1] = value
+            self._file.flush()
+        if self.steps == 1:
+            _on_root(self.comm, self._publish)
+
+    def _publish(self) -> None:
+        for old in (self.path, self.path.with_name("summary.json")):
+            if old.exists():
+                os.replace(old, old.with_name(f"{old.stem}.previous{old.suffix}"))
+        os.replace(self._part, self.path)
+
+    def _rebuild(self, capacity: int) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        self.comm.barrier()
+
+        def copy() -> None:
+            with self._h5py.File(self.path, "r", locking=False) as old:
+                names: list[str] = []
+                old.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
+                static = {name: old[name][()] for name in names if "static" in old[name].attrs}
+                self._create(self._part, capacity, static)
+                with self._h5py.File(self._part, "r+", locking=False) as new:
+                    for path, entry in self._stepped.items():
+                        _copy_rows(old[path], new[path], self.steps * entry.rows)
+                    new[STEPS].attrs.modify("NSteps", np.int64(self.steps))
+                    new[VALUES].resize((self.steps,))
+                    new[VALUES][:] = old[OWN_VALUES][: self.steps]
+            os.replace(self._part, self.path)
+
+        _on_root(self.comm, copy)
+        self._capacity = capacity
+        self._reopen(self.path)
+
+    def _create(self, path: Path, capacity: int, static: Mapping[str, np.ndarray]) -> None:
+        """An empty result for `capacity` steps: all metadata, the static rows, room for the stepped ones."""
+        h5py = self._h5py
+        with h5py.File(path, "w", locking=False) as file:
+            head = file.create_group("VTKHDF")
+            head.attrs["Version"] = np.array([2, 0], dtype=np.int64)
+            head.attrs.create("Type", b"UnstructuredGrid", dtype=h5py.string_dtype("ascii", 16))
+            voile = file.create_group("voile")
+            voile.attrs["format_version"] = FORMAT_VERSION
+            voile.attrs["versions"] = json.dumps(self._versions)
+            voile.attrs["group_names"] = json.dumps(self._group_names)
+            voile["scene"] = np.frombuffer(self._scene_text.encode("utf-8"), dtype=np.uint8)
+            for name, data in static.items():
+                file.create_dataset(name, data=data).attrs["static"] = 1
+                _describe(file[name])
+            for name, entry in self._stepped.items():
+                # laid out now and never moved; unwritten rows stay holes in the file
+                room = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+                room.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+                room.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+                shape = (capacity * entry.rows, *entry.spec.row_shape)
+                file.create_dataset(name, shape, entry.spec.dtype, dcpl=room)
+                _describe(file[name])
+            self._create_steps(file["VTKHDF"], capacity)
+
+    def _create_steps(self, head: Any, capacity: int) -> None:
+        """The tables that say where each step's rows begin: static rows are read from 0 at every step."""
+        steps = head.require_group("Steps")
+        steps.attrs["NSteps"] = np.int64(0)
+        steps.create_dataset("Values", (1,), np.float64, maxshape=(capacity,), chunks=(capacity,))
+        zero = np.zeros(capacity, dtype=np.int64)
+        step = np.arange(capacity, dtype=np.int64)
+        steps["PartOffsets"], steps["NumberOfParts"] = zero, zero + 1
+        steps["PointOffsets"] = step * self.n_points
+        steps["CellOffsets"], steps["ConnectivityIdOffsets"] = zero[:, None], zero[:, None]
+        for kind, n in (("Point", self.n_points), ("Cell", self.n_cells)):
+            for name in head.get(f"{kind}Data", {}):
+                moves = f"VTKHDF/{kind}Data/{name}" in self._stepped
+                steps[f"{kind}DataOffsets/{name}"] = step * n if moves else zero
+
+
+def import_h5py(comm: MPI.Comm) -> Any:
+    """h5py, the MPI build where there is one and `comm` has several ranks.
+
+    Debian installs both builds and picks at the first import, by mpirun's environment only; other launchers need
+    its H5PY_ALWAYS_USE_MPI.
+    """
+    if comm.size > 1:
+        os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")
+    import h5py
+
+    return h5py
+
+
+def _static_datasets(mesh: StaticMesh) -> dict[str, np.ndarray]:
+    start = np.asarray(mesh.start, dtype=np.float64)
+    triangles = np.asarray(mesh.triangles, dtype=np.int64)
+    rest = start if mesh.rest is None else np.asarray(mesh.rest, dtype=np.float64)
+    n, m = len(start), len(triangles)
+    if mesh.rest_triangles is None and len(rest) != n:
+        raise ValueError(
+            f"{len(rest)} rest positions for {n} vertices: rest_triangles must say which belong where"
+        )
+    data = {
+        "VTKHDF/NumberOfPoints": np.array([n]),
+        "VTKHDF/NumberOfCells": np.array([m]),
+        "VTKHDF/NumberOfConnectivityIds": np.array([3 * m]),
+        "VTKHDF/Connectivity": triangles.ravel(),
+        "VTKHDF/Offsets": np.arange(0, 3 * m + 1, 3),
+        "VTKHDF/Types": np.full(m, VTK_TRIANGLE, dtype=np.uint8),
+        "VTKHDF/PointData/start": start,
+        "VTKHDF/PointData/rest": rest,
+    }
+    if mesh.rest_triangles is not None:
+        data["voile/rest_points"] = rest
+        data["voile/rest_triangles"] = np.asarray(mesh.rest_triangles, dtype=np.int64)
+        data["VTKHDF/PointData/rest"] = at_vertices = np.empty((n, 3))
+        at_vertices[triangles] = rest[mesh.rest_triangles]
+    if mesh.edges is not None:
+        data["voile/edges"] = np.asarray(mesh.edges, dtype=np.int64)
+    cells = dict(mesh.cell_data) if mesh.group is None else {**mesh.cell_data, "group": mesh.group}
+    for kind, table, count, extra in (
+        ("Point", POINT_FIELDS, n, mesh.point_data),
+        ("Cell", CELL_FIELDS, m, cells),
+    ):
+        for name, values in extra.items():
+            spec = _known(table, name)
+            data[f"VTKHDF/{kind}Data/{name}"] = np.asarray(values, spec.dtype).reshape(count, *spec.row_shape)
+    return data
+
+
+def _known(table: Mapping[str, Field], name: str) -> Field:
+    if name not in table:
+        raise ValueError(f"no field {name!r} in results; known: {', '.join(table)}")
+    return table[name]
+
+
+def _describe(dataset: Any) -> None:
+    parent, name = dataset.name.rsplit("/", 1)
+    tables = {"/VTKHDF/PointData": POINT_FIELDS, "/VTKHDF/CellData": CELL_FIELDS}
+    if spec := tables.get(parent, {}).get(name):
+        dataset.attrs["unit"], dataset.attrs["meaning"] = spec.unit, spec.meaning
+
+
+def _copy_rows(old: Any, new: Any, count: int) -> None:
+    piece = max(1, COPY_BYTES // max(1, old.dtype.itemsize * int(np.prod(old.shape[1:]))))
+    for begin in range(0, count, piece):
+        end = min(begin + piece, count)
+        new[begin:end] = old[begin:end]
+
+
+def _on_root(comm: MPI.Comm, action: Any) -> None:
+    """Run `action` on rank 0 and raise what it raised on every rank, so that none waits for another."""
+    error = None
+    if comm.rank == 0:
+        try:
+            action()
+        except Exception as caught:
+            error = caught
+    error = comm.bcast(error)
+    if error is not None:
+        raise error
