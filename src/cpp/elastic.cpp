@@ -133,6 +133,7 @@ class ElasticModel final : public Elastic {
   bool rest_flat = false;
   std::vector<Facet> facets;
   std::vector<double> slope;  // (3m) factor * dW/dalpha
+  std::vector<double> predicted_slope, predicted_tension;  // (3m) the same and dW/dl, extrapolated by predict()
 
   int triangle_at(int block, int lane) const { return std::min(block * LANES + lane, mesh.triangles - 1); }
   int lanes_in(int block) const { return std::min(LANES, mesh.triangles - block * LANES); }
@@ -490,7 +491,8 @@ class ElasticModel final : public Elastic {
     return r;
   }
 
-  void fill_blocks(int block, const Local& w, const Jet& jet, bool safe, Real* out) const {
+  // stress: dW/dl of the geometric part.
+  void fill_blocks(int block, const Local& w, const Jet& jet, const Real stress[3], bool safe, Real* out) const {
     constexpr int M = Model::bends ? 6 : 3;
     Vec3 own[3][3], across[3], mj[6][3];
     if constexpr (Model::bends) alpha_gradient(w, own, across);
@@ -528,7 +530,7 @@ class ElasticModel final : public Elastic {
         Real tension = 0.0;
         for (int i = 0; i < 3; ++i)
           if (eps(i, j) * eps(i, k) != 0.0)
-            tension += Real(2.0 * eps(i, j) * eps(i, k)) * (safe ? max(jet.g[i], Real(0.0)) : jet.g[i]);
+            tension += Real(2.0 * eps(i, j) * eps(i, k)) * (safe ? max(stress[i], Real(0.0)) : stress[i]);
         Real* o = out + BLOCKS.start[j][k];
         o[0] += tension, o[4] += tension, o[8] += tension;
       }
@@ -659,11 +661,13 @@ class ElasticModel final : public Elastic {
   }
 
   void hessian(State state, Hessian kind, Scatter& scatter) override {
-    const bool safe = kind == Hessian::safe;
+    const bool safe = kind == Hessian::safe, mixed = kind == Hessian::mixed;
+    if (mixed && predicted_slope.empty()) throw std::logic_error("hessian: nothing was predicted");
     Jet jet;
     if constexpr (Model::bends) {
       compute_facets(mesh.corner.data(), mesh.start.data(), state.displacement);
-      for (int b = 0; b < blocks && !safe; ++b) {
+      if (mixed) slope = predicted_slope;
+      for (int b = 0; b < blocks && kind == Hessian::exact; ++b) {
         Local w = local(b, state);
         evaluate<1>(b, w, jet);
         for (int lane = 0; lane < lanes_in(b); ++lane)
@@ -677,9 +681,52 @@ class ElasticModel final : public Elastic {
       Local w = local(b, state);
       evaluate<2>(b, w, jet);
       if (safe) project_positive(jet.h);
-      fill_blocks(b, w, jet, safe, out);
+      Real stress[3] = {jet.g[0], jet.g[1], jet.g[2]};
+      for (int i = 0; i < 3 && mixed; ++i)
+        for (int lane = 0; lane < LANES; ++lane) stress[i].p[lane] = predicted_tension[3 * triangle_at(b, lane) + i];
+      fill_blocks(b, w, jet, stress, safe, out);
       for (int lane = 0; lane < lanes_in(b); ++lane)
         scatter.add<LANES>(b * LANES + lane, reinterpret_cast<const double*>(out), lane);
+    }
+  }
+
+  void predict(State state, State direction) override {
+    predicted_slope.assign(3 * (size_t)mesh.triangles, 0.0);
+    predicted_tension.assign(3 * (size_t)mesh.triangles, 0.0);
+    if constexpr (Model::bends) compute_facets(mesh.corner.data(), mesh.start.data(), state.displacement);
+    Jet jet;
+    for (int b = 0; b < blocks; ++b) {
+      Local w = local(b, state);
+      evaluate<2>(b, w, jet);
+      Corners d = load(b, mesh.corner.data(), direction.displacement, nullptr);
+      Vec3 own[3][3], across[3];
+      if constexpr (Model::bends) alpha_gradient(w, own, across);
+      Real rate[6];
+      for (int i = 0; i < 3; ++i) {
+        rate[i] = Real(2.0) * dot(w.t.e[i], d.x[(i + 2) % 3] - d.x[(i + 1) % 3]);
+        rate[3 + i] = 0.0;
+        if constexpr (Model::bends) {
+          for (int j = 0; j < 3; ++j) rate[3 + i] += dot(own[i][j], d.x[j]);
+          for (int lane = 0; lane < LANES; ++lane) {
+            int half = 3 * triangle_at(b, lane) + i, other = mesh.across[half];
+            double turn = Model::directors ? mesh.sign[half] * direction.director[mesh.edge[half]] : 0.0;
+            const double* v = direction.displacement + 3 * (size_t)(other < 0 ? 0 : mesh.corner[other]);
+            if (other >= 0) turn += across[i].x[lane] * v[0] + across[i].y[lane] * v[1] + across[i].z[lane] * v[2];
+            rate[3 + i].p[lane] += turn;
+          }
+        }
+      }
+      for (int i = 0; i < 6; ++i) {
+        Real stress = jet.g[i];
+        for (int j = 0; j < 6; ++j) stress += jet.h[upper(i, j)] * rate[j];
+        for (int lane = 0; lane < lanes_in(b); ++lane) {
+          size_t at = 3 * ((size_t)b * LANES + lane) + i % 3;
+          if (i < 3)
+            predicted_tension[at] = stress[lane];
+          else if (Model::bends)
+            predicted_slope[at] = stress[lane] * w.hinge[i - 3].factor[lane];
+        }
+      }
     }
   }
 

@@ -28,7 +28,10 @@ struct Clamp {
   double vector[3];
 };
 
-enum class Hessian { exact, safe };
+// exact; safe: positive semidefinite; mixed: exact but for the stresses of its geometric part, which are those that
+// the last `predict` extrapolated (Magisano, Leonetti & Garcea 2017: mixed integration points; Newton's method then
+// converges in few steps where bending couples with stiff stretching).
+enum class Hessian { exact, safe, mixed };
 
 // Displacements (3n) from mesh.start and director angles (edges), both in local numbering.
 struct State {
@@ -53,6 +56,8 @@ class Elastic {
   // Adds the forces' negatives to gradient (3n) and edge_gradient (edges); returns the energies as above.
   virtual void gradient(State state, double* split, double* gradient, double* edge_gradient) = 0;
   virtual void hessian(State state, Hessian kind, Scatter& scatter) = 0;
+  // Stresses W_q linearised at the state, extrapolated along a direction (3n; edges).
+  virtual void predict(State state, State direction) = 0;
   // End moments: psi_h is the turn of half edge h's triangle about it. turn_gradient adds sum_h weight_h dpsi_h/dx;
   // weights that were set also enter the Hessian (symmetrised; exact where the edge only moves, not tilts).
   virtual void turn_gradient(State state, const double* weight, double* gradient) = 0;

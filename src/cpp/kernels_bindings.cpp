@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "elastic.hpp"
+#include "loads.hpp"
 #include "scatter.hpp"
 
 namespace nb = nanobind;
@@ -116,9 +117,13 @@ static void bind_model(nb::module_& m) {
              return Split(e[0], e[1]);
            })
       .def("hessian",
-           [](Model& s, Doubles u, Doubles phi, bool safe, Scatter& scatter) {
-             s.elastic->hessian(s.state(u, phi), safe ? Hessian::safe : Hessian::exact, scatter);
+           [](Model& s, Doubles u, Doubles phi, const std::string& kind, Scatter& scatter) {
+             if (kind != "exact" && kind != "safe" && kind != "mixed") throw nb::value_error("hessian: unknown kind");
+             Hessian h = kind == "exact" ? Hessian::exact : (kind == "safe" ? Hessian::safe : Hessian::mixed);
+             s.elastic->hessian(s.state(u, phi), h, scatter);
            })
+      .def("predict", [](Model& s, Doubles u, Doubles phi, Doubles du,
+                         Doubles dphi) { s.elastic->predict(s.state(u, phi), s.state(du, dphi)); })
       .def("turn_gradient",
            [](Model& s, Doubles u, Doubles phi, Doubles weight, Output g) {
              s.elastic->turn_gradient(s.state(u, phi), sized(weight, 3 * s.count(), "weights"),
@@ -176,8 +181,12 @@ static void bind_scatter(nb::module_& m) {
 }
 
 NB_MODULE(_kernels, m) {
+  nb::set_leak_warnings(false);  // objects may outlive the interpreter through PETSc callbacks
   m.doc() = "Elastic energies of triangle meshes and their derivatives (C++).";
   m.def("instruction_set", &instruction_set, "Instruction set of the kernels in use: baseline, avx2 or avx512.");
   bind_model(m);
   bind_scatter(m);
+  m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, double factor) {
+    add_pressure_hessian(scatter, corners.data(), positions.data(), corners.size() / 3, factor);
+  });
 }

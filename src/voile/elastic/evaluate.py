@@ -87,7 +87,7 @@ def evaluate(
     stretching, bent = kernel.gradient(u, phi, gradient, edge_gradient)
     result = Evaluation(stretching + bent, stretching, bent, gradient, edge_gradient, topology.edges)
     if hessian:
-        result.hessian = _hessian(kernel, u, phi, hessian == "safe")
+        result.hessian = _hessian(kernel, u, phi, "safe" if hessian == "safe" else "exact")
     if mixed:
         _add_mixed(result, kernel, u, phi, triangles, topology)
     return result
@@ -128,7 +128,7 @@ def _fabric(count: int, thickness, young, poisson) -> list[np.ndarray]:
     return values
 
 
-def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, safe: bool) -> scipy.sparse.csr_matrix:
+def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, kind: str) -> scipy.sparse.csr_matrix:
     """The Hessian in all degrees of freedom: the assembly of the solver with nothing eliminated."""
     size = u.size + len(phi)
     identity = np.arange(size + 1, dtype=np.int32)
@@ -136,7 +136,7 @@ def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, safe: boo
     start, column = scatter.pattern(np.arange(size))
     start, values, none = start.astype(np.int32), np.zeros(len(column)), np.zeros(0, dtype=np.int32)
     scatter.bind(start, column, values, none, none, np.zeros(0), none)
-    kernel.hessian(u, phi, safe, scatter)
+    kernel.hessian(u, phi, kind, scatter)
     return scipy.sparse.csr_matrix((values, column, start), shape=(size, size))
 
 

@@ -1,0 +1,54 @@
+"""Clamped edges: the unit vector that keeps a director from turning."""
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.problem.shell import Shell
+
+
+def held_directors(shell: Shell) -> np.ndarray:
+    """(k, 5) rows of half edge, conormal flag, unit vector, for both sides of every clamped edge.
+
+    The director is that of the start shape (on an inner edge the bisector of the two normals). With all axes of the
+    edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge) what is held is the
+    director or the edge's in-plane normal, whichever lies along the supported axes. Raises InputError if neither does.
+    """
+    topology = shell.topology
+    if not len(shell.clamped_edges):
+        return np.zeros((0, 5))
+    clamped = np.zeros(len(topology.edges), dtype=bool)
+    clamped[shell.clamped_edges] = True
+    half = np.flatnonzero(clamped[topology.triangle_edges.ravel()])
+    normal = _unit(_normals(shell.points, shell.triangles))
+    triangle, corner = half // 3, half % 3
+    start = shell.triangles[triangle, (corner + 1) % 3]
+    end = shell.triangles[triangle, (corner + 2) % 3]
+    along = _unit(shell.points[end] - shell.points[start])
+    other = topology.across.ravel()[half]
+    neighbour = normal[np.where(other >= 0, other // 3, triangle)]
+    director = _unit(normal[triangle] + neighbour)
+    conormal = np.cross(along, director)
+    free = ~(shell.fixed[start] & shell.fixed[end])
+    slides = free.any(axis=1)
+    loose_director = np.abs(director * free).max(axis=1)
+    loose_conormal = np.abs(conormal * free).max(axis=1)
+    use_conormal = ~slides | (loose_conormal < loose_director)
+    loose = np.where(use_conormal, loose_conormal, loose_director)
+    if (slides & (loose > 1e-6)).any():
+        k = np.flatnonzero(slides & (loose > 1e-6))[0]
+        raise InputError(
+            f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither its normal "
+            "nor its in-plane normal lies along the supported axes; support all axes there, or only those of a plane "
+            "of symmetry that the shell meets at a right angle"
+        )
+    vector = np.where(use_conormal[:, None], conormal, director)
+    return np.column_stack([half, use_conormal, vector])
+
+
+def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=1, keepdims=True)

@@ -1,0 +1,191 @@
+"""Distribution: rank 0 cuts the mesh along a Hilbert curve and hands every rank what its own rows need.
+
+Owner computes: a rank evaluates every triangle that contributes to one of its unknowns (one more ring around them for
+the hinges), so assembly needs no communication and no rank holds more than its part; rank 0 reads the input.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from voile.problem.constraints import Constraints
+from voile.problem.shell import Shell, hilbert_order, triangle_areas
+
+
+@dataclass
+class Part:
+    """One rank's share; local numbering throughout. dofs: 3*vertex + axis, then edges.
+
+    vertex, edge, triangle: indices in the input. matrix (dofs, unknowns): C, the first `owned` unknowns are the
+    rank's own, the rest ghosts whose global numbers are ghost_global. weight (m,): 1 where the triangle counts here.
+    """
+
+    vertex: np.ndarray
+    edge: np.ndarray
+    triangle: np.ndarray
+    corners: np.ndarray
+    triangle_edges: np.ndarray
+    signs: np.ndarray
+    across: np.ndarray
+    points: np.ndarray
+    rest_points: np.ndarray
+    rest_corners: np.ndarray
+    fabric: np.ndarray  # (4, m) thickness, young, poisson, density
+    weight: np.ndarray
+    matrix: sp.csr_matrix
+    gap: np.ndarray  # (dofs,) closes the seams of the start shape
+    lift: np.ndarray  # (dofs,) prescribed displacement at load factor 1, carried along the seams
+    fixed: np.ndarray
+    force: np.ndarray
+    mass: np.ndarray  # (dofs,) lumped, complete for all local dofs
+    moment: np.ndarray
+    half_edge_clamp: np.ndarray  # (k, 5): local half edge, conormal flag, vector
+    owned: int
+    first_global: int
+    ghost_global: np.ndarray
+    owned_vertices: np.ndarray  # local indices of the vertices that this rank writes
+    owned_edges: np.ndarray
+
+
+def lumped_mass(shell: Shell) -> np.ndarray:
+    """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2)."""
+    n, topology = len(shell.points), shell.topology
+    area = triangle_areas(shell.rest_points, shell.rest_triangles)
+    share = shell.density * shell.thickness * area / 3.0
+    vertex = np.bincount(shell.triangles.ravel(), np.repeat(share, 3), n)
+    edge = np.bincount(
+        topology.triangle_edges.ravel(), np.repeat(share * shell.thickness**2 / 12.0, 3), len(topology.edges)
+    )
+    return np.concatenate([np.repeat(vertex, 3), edge])
+
+
+@dataclass
+class Numbering:
+    """Global numbering of nodes and unknowns on rank 0."""
+
+    node_owner: np.ndarray  # vertices, then edges
+    unknown: np.ndarray  # per dof: global number, -1 where it is none
+    range_start: np.ndarray  # (ranks + 1,)
+    triangle_order: np.ndarray
+
+
+def number_unknowns(shell: Shell, constraints: Constraints, ranks: int) -> Numbering:
+    """Nodes in Hilbert order, an edge right after its earlier vertex; equal numbers of unknowns per rank."""
+    n, topology = len(shell.points), shell.topology
+    place = np.empty(n, dtype=np.int64)
+    place[hilbert_order(shell.points)] = np.arange(n)
+    edge_place = place[topology.edges].min(axis=1)
+    key = np.concatenate([2 * place, 2 * edge_place + 1])
+    order = np.argsort(key, kind="stable")
+    start = np.concatenate([3 * np.arange(n), 3 * n + np.arange(len(topology.edges))])
+    size = np.concatenate([np.full(n, 3), np.ones(len(topology.edges), dtype=int)])
+    free = constraints.free.astype(np.int64)
+    free_before = np.concatenate([[0], np.cumsum(free)])
+    count = free_before[start + size] - free_before[start]
+    running = np.cumsum(count[order])
+    total = int(running[-1])
+    owner = np.empty(len(order), dtype=np.int32)
+    # A vertex and its edges stay together: the owner is that of the vertex's place.
+    share = np.minimum(((running - count[order]) * ranks) // max(total, 1), ranks - 1)
+    owner[order] = share
+    vertex_of_place = np.empty(n, dtype=np.int64)
+    vertex_of_place[place] = np.arange(n)
+    owner[n:] = owner[vertex_of_place[edge_place]]
+    order = np.lexsort((np.arange(len(key)), key, owner))
+    dof_order = np.repeat(start[order], size[order]) + _ramp(size[order])
+    dof_order = dof_order[constraints.free[dof_order]]
+    unknown = np.full(len(free), -1, dtype=np.int64)
+    unknown[dof_order] = np.arange(len(dof_order))
+    per_rank = np.bincount(owner, weights=count, minlength=ranks).astype(np.int64)
+    triangle_order = np.argsort(place[shell.triangles].min(axis=1), kind="stable")
+    return Numbering(owner, unknown, np.concatenate([[0], np.cumsum(per_rank)]), triangle_order)
+
+
+def _ramp(sizes: np.ndarray) -> np.ndarray:
+    """0, 1, ..., size-1 for each size in turn."""
+    ends = np.cumsum(sizes)
+    return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - sizes, sizes)
+
+
+def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: np.ndarray) -> Part:
+    """The part of one rank. clamps (k, 5) as Part.half_edge_clamp, with global half edges."""
+    n, topology = len(shell.points), shell.topology
+    edges = len(topology.edges)
+    triangles = _needed_triangles(shell, constraints, numbering, rank)
+    corners = shell.triangles[triangles]
+    vertex = np.unique(corners)
+    edge = np.unique(topology.triangle_edges[triangles])
+    dofs = np.concatenate([(3 * vertex[:, None] + np.arange(3)).ravel(), 3 * n + edge])
+    rows = constraints.matrix[dofs]
+    begin, end = numbering.range_start[rank], numbering.range_start[rank + 1]
+    used = numbering.unknown[rows.indices]
+    ghost = np.unique(used[(used < begin) | (used >= end)])
+    local = np.where((used >= begin) & (used < end), used - begin, (end - begin) + np.searchsorted(ghost, used))
+    matrix = sp.csr_matrix((rows.data, local, rows.indptr), shape=(len(dofs), int(end - begin) + len(ghost)))
+    matrix.sort_indices()
+    vertex_local = np.full(n, -1, dtype=np.int32)
+    vertex_local[vertex] = np.arange(len(vertex))
+    edge_local = np.full(edges, -1, dtype=np.int32)
+    edge_local[edge] = np.arange(len(edge))
+    triangle_local = np.full(len(shell.triangles), -1, dtype=np.int64)
+    triangle_local[triangles] = np.arange(len(triangles))
+    other = topology.across[triangles]
+    other_local = triangle_local[np.maximum(other, 0) // 3]
+    across = np.where((other >= 0) & (other_local >= 0), 3 * other_local + other % 3, -1).astype(np.int32)
+    rest_vertex, rest_corners = np.unique(shell.rest_triangles[triangles], return_inverse=True)
+    mine = clamps[triangle_local[clamps[:, 0].astype(np.int64) // 3] >= 0] if len(clamps) else clamps
+    held = mine[:, 0].astype(np.int64)
+    mine = np.column_stack([3 * triangle_local[held // 3] + held % 3, mine[:, 1:]])
+    motion = np.zeros(3 * n + edges)
+    motion[: 3 * n] = shell.motion.ravel()
+    force = np.zeros((n, 3)) if shell.force is None else shell.force
+    moment = np.zeros((len(shell.triangles), 3)) if shell.moment is None else shell.moment.reshape(-1, 3)
+    counted = numbering.node_owner[shell.triangles[triangles, 0]] == rank
+    fabric = np.stack([a[triangles] for a in (shell.thickness, shell.young, shell.poisson, shell.density)])
+    return Part(
+        vertex=vertex,
+        edge=edge,
+        triangle=triangles,
+        corners=vertex_local[corners],
+        triangle_edges=edge_local[topology.triangle_edges[triangles]],
+        signs=np.ascontiguousarray(topology.signs[triangles]),
+        across=across,
+        points=shell.points[vertex],
+        rest_points=shell.rest_points[rest_vertex],
+        rest_corners=rest_corners.reshape(-1, 3).astype(np.int32),
+        fabric=fabric,
+        weight=counted.astype(float),
+        matrix=matrix,
+        gap=constraints.gap[dofs],
+        lift=(constraints.seam @ motion)[dofs],
+        fixed=constraints.fixed[dofs],
+        force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
+        mass=lumped_mass(shell)[dofs],
+        moment=moment[triangles].ravel(),
+        half_edge_clamp=mine,
+        owned=int(end - begin),
+        first_global=int(begin),
+        ghost_global=ghost,
+        owned_vertices=np.flatnonzero(numbering.node_owner[vertex] == rank),
+        owned_edges=np.flatnonzero(numbering.node_owner[n + edge] == rank),
+    )
+
+
+def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int) -> np.ndarray:
+    """Triangles that contribute to an unknown of the rank and one ring for their hinges, in Hilbert order."""
+    topology = shell.topology
+    n = len(shell.points)
+    mine = numbering.unknown[constraints.matrix.indices]
+    mine = (mine >= numbering.range_start[rank]) & (mine < numbering.range_start[rank + 1])
+    row = np.repeat(np.arange(constraints.matrix.shape[0]), np.diff(constraints.matrix.indptr))
+    node = np.zeros(n + len(topology.edges), dtype=bool)
+    touched = row[mine]
+    node[np.where(touched < 3 * n, touched // 3, touched - 2 * n)] = True
+    node |= numbering.node_owner == rank  # also what has no unknown is written by somebody
+    direct = node[shell.triangles].any(axis=1) | node[n + topology.triangle_edges].any(axis=1)
+    ring = direct
+    for _ in range(2):  # across a hinge: the vertex opposite; then the ring that those hinges need
+        other = topology.across
+        ring = ring | (ring[np.maximum(other, 0) // 3] & (other >= 0)).any(axis=1)
+    return numbering.triangle_order[ring[numbering.triangle_order]]

@@ -1,0 +1,86 @@
+"""What a shell problem is, as arrays: shape, rest shape, fabric, supports, seams, loads. Only rank 0 holds one."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from voile.mesh.topology import Topology, build_topology
+
+
+def _no_ints() -> np.ndarray:
+    return np.zeros(0, dtype=np.int32)
+
+
+@dataclass
+class Shell:
+    """A shell of n vertices and m triangles; SI units.
+
+    points (n, 3) start shape; triangles (m, 3); rest_points (r, 3) and rest_triangles (m, 3) the rest shape, flat
+    when it has no folds; thickness, young, poisson, density (m,); model: the kernels' name (voile.elastic.model_name).
+    fixed (n, 3) marks Dirichlet axes, motion (n, 3) their displacement at the end of the load path.
+    clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
+    weight x_second. Loads at load factor 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
+    moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    rest_points: np.ndarray
+    rest_triangles: np.ndarray
+    flat: bool
+    model: str
+    thickness: np.ndarray
+    young: np.ndarray
+    poisson: np.ndarray
+    density: np.ndarray
+    fixed: np.ndarray
+    motion: np.ndarray
+    clamped_edges: np.ndarray = field(default_factory=_no_ints)
+    slave: np.ndarray = field(default_factory=_no_ints)
+    first: np.ndarray = field(default_factory=_no_ints)
+    second: np.ndarray = field(default_factory=_no_ints)
+    weight: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    pressure: float = 0.0
+    force: np.ndarray | None = None
+    moment: np.ndarray | None = None
+    topology: Topology | None = None
+
+    def __post_init__(self) -> None:
+        if self.topology is None:
+            self.topology = build_topology(self.triangles)
+
+
+def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m,) areas of triangles (m, 3) of points (n, 3)."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:
+    """Order of points (n, 3) along a Hilbert curve (Skilling 2004, "Programming the Hilbert curve")."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = (2**bits - 1) / max(float((high - low).max()), 1e-300)
+    x = [((points[:, k] - low[k]) * scale).astype(np.uint64) for k in range(3)]
+    q = np.uint64(1 << (bits - 1))
+    while q > 1:
+        p = q - np.uint64(1)
+        for k in range(3):
+            on = (x[k] & q) != 0
+            t = np.where(on, np.uint64(0), (x[0] ^ x[k]) & p)
+            x[0] = np.where(on, x[0] ^ p, x[0] ^ t)
+            if k:
+                x[k] = x[k] ^ t
+        q >>= np.uint64(1)
+    x[1] ^= x[0]
+    x[2] ^= x[1]
+    t = np.zeros(len(points), dtype=np.uint64)
+    q = np.uint64(1 << (bits - 1))
+    while q > 1:
+        t = np.where((x[2] & q) != 0, t ^ (q - np.uint64(1)), t)
+        q >>= np.uint64(1)
+    key = np.zeros(len(points), dtype=np.uint64)
+    for bit in range(bits - 1, -1, -1):
+        for k in range(3):
+            key = (key << np.uint64(1)) | (((x[k] ^ t) >> np.uint64(bit)) & np.uint64(1))
+    return np.argsort(key, kind="stable")

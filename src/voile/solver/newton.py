@@ -1,0 +1,196 @@
+"""Newton's method on a potential, as a PETSc SNES of type python.
+
+Each step minimises a quadratic model. Its matrix is the exact Hessian where the inertia of the factorisation says
+that it is positive definite, else the kernels' positive semidefinite one; where steps stay short, a multiple of the
+mass is added (one step of pseudo-transient continuation), which fades as the steps recover. The line search demands
+sufficient decrease of the potential; where round-off hides the decrease, or the loads have no potential, it looks
+at the slope instead (Hager & Zhang 2005, approximate Wolfe conditions).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+
+SUFFICIENT = 1e-4  # fraction of the predicted decrease that a step must reach (Armijo)
+SHORTEST = 1e-10  # relative step length at which the line search gives up
+ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
+
+
+def negative_pivots(pc: PETSc.PC) -> int | None:
+    """Negative eigenvalues counted by the factorisation (at least 1 where it broke down); None where the
+    preconditioner does not tell."""
+    if pc.getType() != PETSc.PC.Type.CHOLESKY:
+        return None
+    factor = pc.getFactorMatrix()
+    if pc.getFactorSolverType() == "mumps" and factor.getMumpsInfog(1) < 0:
+        return 1
+    try:
+        return int(factor.getInertia()[0])
+    except PETSc.Error:
+        return None
+
+
+@dataclass
+class Step:
+    """What the iterations did, for progress and tests."""
+
+    iteration: int
+    residual: float
+    energy: float
+    length: float
+    exact: bool
+    shift: float
+
+
+class Newton:
+    """Python context of the SNES; `problem` gives potential, residual and tangent."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.steps: list[Step] = []
+        self.shift = 0.0
+        self.negative: int | None = None
+        self._mass: PETSc.Vec | None = None
+        self._wait = 0
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
+        """Iterates until SNES's convergence test says so; sets its reason."""
+        problem = self.problem
+        residual = snes.getFunction()[0]
+        direction, trial, trial_residual = y.duplicate(), y.duplicate(), y.duplicate()
+        self.steps, self.shift, self._wait = [], 0.0, 0
+        snes.computeFunction(y, residual)
+        energy, norm = self._energy(y), residual.norm()
+        snes.setIterationNumber(0)
+        snes.setFunctionNorm(norm)
+        snes.logConvergenceHistory(norm, 0)
+        snes.setConvergedReason(self._test(snes, 0, y, direction, norm))
+        snes.monitor(0, norm)
+        length, exact = 1.0, True
+        for it in range(1, snes.getTolerances()[3] + 1):
+            if snes.reason:
+                return
+            exact, slope = self._direction(snes, y, residual, direction, length)
+            if slope is None:
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
+                return
+            length, new_energy = self._search(y, direction, energy, norm, slope, trial, trial_residual)
+            if length == 0.0:
+                if not self._regularise():
+                    snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
+                    return
+                continue
+            trial.copy(y)
+            trial_residual.copy(residual)
+            energy, norm = new_energy, residual.norm()
+            self._adapt(length)
+            self.steps.append(Step(it, norm, energy, length, exact, self.shift))
+            direction.scale(length)
+            snes.setIterationNumber(it)
+            snes.setFunctionNorm(norm)
+            snes.logConvergenceHistory(norm, 0)
+            snes.setConvergedReason(self._test(snes, it, y, direction, norm))
+            snes.monitor(it, norm)
+        if not snes.reason:
+            snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
+
+    def _test(self, snes, it, y, direction, norm):
+        if not np.isfinite(norm):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+        return snes.callConvergenceTest(it, y.norm(), direction.norm() if it else 0.0, norm)
+
+    def _energy(self, y: PETSc.Vec) -> float:
+        return self.problem.energy(y) if self.problem.conservative else 0.0
+
+    # ---- direction ----
+
+    def _direction(self, snes, y, residual, direction, length) -> tuple[bool, float | None]:
+        """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
+        exact = self._wait == 0
+        if not exact:
+            self._wait -= 1
+        if exact and not self._factor(snes, y, "exact"):
+            exact = False
+        if not exact:
+            while not self._factor(snes, y, "safe"):
+                if not self._regularise():
+                    return False, None
+        slope = self._solve(snes, residual, direction)
+        if slope is None and exact:
+            exact = False
+            slope = self._solve(snes, residual, direction) if self._factor(snes, y, "safe") else None
+        return exact, slope
+
+    def _solve(self, snes, residual, direction) -> float | None:
+        snes.ksp.solve(residual, direction)
+        direction.scale(-1.0)
+        slope = residual.dot(direction)
+        return slope if np.isfinite(slope) and slope < 0.0 else None
+
+    def _factor(self, snes: PETSc.SNES, y: PETSc.Vec, kind: str) -> bool:
+        """Assembles and factors; False if that fails or the matrix is not positive definite."""
+        matrix = snes.getJacobian()[0]
+        self.problem.tangent(y, matrix, kind)
+        if self.shift > 0.0:
+            if self._mass is None:
+                self._mass = self.problem.mass()
+            shifted = self._mass.copy()
+            shifted.scale(self.shift)
+            matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
+        ksp = snes.ksp
+        ksp.setOperators(matrix)
+        ksp.pc.setUp()
+        negative = negative_pivots(ksp.pc)
+        if kind != "safe" and self.shift == 0.0:
+            self.negative = negative
+        return not negative
+
+    def _regularise(self) -> bool:
+        """Raises the shift (pseudo-transient continuation); False when it is beyond use."""
+        self.shift = max(10.0 * self.shift, self._first_shift())
+        return self.shift < 1e12 * self._first_shift()
+
+    def _adapt(self, length: float) -> None:
+        first = self._first_shift()
+        if length < 0.1:
+            self.shift = max(4.0 * self.shift, first)
+        elif length > 0.5 and self.shift:
+            self.shift = 0.1 * self.shift if self.shift > 0.1 * first else 0.0
+
+    def _first_shift(self) -> float:
+        """Inverse square of the time (s) in which the load moves the shell by about its size."""
+        return self.problem.slow_rate()
+
+    # ---- line search ----
+
+    def _search(self, y, direction, energy, norm, slope, trial, trial_residual) -> tuple[float, float]:
+        """Backtracks from the full step; (0, energy) if no length is acceptable."""
+        problem = self.problem
+        length = 1.0
+        noise = ENERGY_NOISE * abs(energy)
+        while length > SHORTEST:
+            trial.waxpy(length, direction, y)
+            new = self._energy(trial)
+            if np.isfinite(new):
+                decrease = new - energy
+                if problem.conservative and decrease <= SUFFICIENT * length * slope and -length * slope > noise:
+                    problem.residual(trial, trial_residual)
+                    return length, new
+                if not problem.conservative or decrease <= noise:
+                    problem.residual(trial, trial_residual)
+                    new_slope = trial_residual.dot(direction)
+                    if np.isfinite(new_slope) and self._flat_enough(new_slope, slope, trial_residual.norm(), norm):
+                        return length, new
+                guess = -0.5 * slope * length**2 / (decrease - slope * length) if decrease > slope * length else 0.0
+                length = min(max(guess, 0.1 * length), 0.5 * length)
+            else:
+                length *= 0.25
+        return 0.0, energy
+
+    def _flat_enough(self, new_slope: float, slope: float, new_norm: float, norm: float) -> bool:
+        if self.problem.conservative:
+            return new_slope <= (2 * SUFFICIENT - 1) * slope and new_slope >= 0.9 * slope
+        return abs(new_slope) <= 0.9 * abs(slope) or new_norm < norm

@@ -1,0 +1,69 @@
+"""Is an equilibrium a minimum? Inertia of the tangent and its smallest eigenvalue by SLEPc."""
+
+import math
+
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from voile.problem.discrete import Problem
+from voile.solver.newton import negative_pivots
+
+
+def factored(matrix: PETSc.Mat, prefix: str = "") -> PETSc.PC:
+    """LDL^T of a matrix by MUMPS, options under `prefix`; raises PETSc.Error if it fails."""
+    pc = PETSc.PC().create(comm=matrix.comm)
+    pc.setOperators(matrix)
+    pc.setType(PETSc.PC.Type.CHOLESKY)
+    pc.setFactorSolverType("mumps")
+    pc.setOptionsPrefix(prefix)
+    pc.setFromOptions()
+    pc.setUp()
+    return pc
+
+
+def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tuple[float, PETSc.Vec]:
+    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M the lumped mass.
+
+    Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
+    no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
+    """
+    mass = problem.mass()
+    shift = scale
+    for _ in range(60):
+        shifted = tangent.copy()
+        moved = mass.copy()
+        moved.scale(shift)
+        shifted.setDiagonal(moved, addv=PETSc.InsertMode.ADD_VALUES)
+        pc = factored(shifted)
+        below = negative_pivots(pc)
+        pc.destroy()
+        shifted.destroy()
+        if below == 0:
+            break
+        shift *= 4.0
+    weights = PETSc.Mat().createAIJ(tangent.getSizes(), nnz=1, comm=tangent.comm)
+    weights.setUp()
+    weights.setDiagonal(mass)
+    weights.assemble()
+    eps = SLEPc.EPS().create(comm=tangent.comm)
+    eps.setOperators(tangent, weights)
+    eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    eps.setTarget(-shift)
+    eps.setDimensions(1)
+    eps.setTolerances(1e-6, 200)
+    st = eps.getST()
+    st.setType(SLEPc.ST.Type.SINVERT)
+    ksp = st.getKSP()
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.pc.setType(PETSc.PC.Type.CHOLESKY)
+    ksp.pc.setFactorSolverType("mumps")
+    eps.setFromOptions()
+    eps.solve()
+    if eps.getConverged() < 1:
+        return math.nan, problem.create_vector()
+    mode = problem.create_vector()
+    value = eps.getEigenpair(0, mode).real
+    largest = mode.norm(PETSc.NormType.INFINITY)
+    mode.scale(1.0 / largest)
+    return value, mode

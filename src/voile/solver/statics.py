@@ -1,0 +1,188 @@
+"""Equilibria along a load path: adaptive load steps around Newton's method, off unstable branches, to stable ends."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from petsc4py import PETSc
+
+from voile.errors import NotConverged
+from voile.problem.discrete import Problem
+from voile.solver.newton import Newton
+from voile.solver.stability import smallest_eigenpair
+
+EASY, HARD = 8, 25  # Newton iterations under which a load step grows, over which it shrinks
+SMALLEST_STEP = 1e-5
+
+
+@dataclass
+class StaticsOptions:
+    """load_steps: first step is 1/load_steps; max_steps: attempts in all; perturbation off unstable branches in
+    thicknesses; tolerance: residual over the load's norm; stability: test the end state."""
+
+    load_steps: int = 10
+    max_steps: int = 1000
+    perturbation: float = 1.0
+    tolerance: float = 1e-8
+    stability: bool = True
+    eigenvalue: bool = False
+
+
+@dataclass
+class LoadStep:
+    """One converged equilibrium of the path."""
+
+    factor: float
+    iterations: int
+    residual: float
+    tolerance: float
+    energies: dict[str, float]
+    negative: int | None
+
+
+@dataclass
+class Path:
+    """The outcome: `state` is the last converged one (unknowns), also when `converged` is False."""
+
+    state: PETSc.Vec
+    converged: bool = False
+    reason: str = ""
+    steps: list[LoadStep] = field(default_factory=list)
+    newton_iterations: int = 0
+    attempts: int = 0
+    stable: bool | None = None
+    smallest_eigenvalue: float | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton]:
+    """Newton with MUMPS LDL^T by default; every choice can be changed by PETSc options."""
+    snes = PETSc.SNES().create(comm=problem.comm)
+    newton = Newton(problem)
+    snes.setType(PETSc.SNES.Type.PYTHON)
+    snes.setPythonContext(newton)
+    snes.setFunction(lambda _, y, f: problem.residual(y, f), problem.create_vector())
+    snes.setJacobian(lambda _, y, j, p: problem.tangent(y, p), matrix)
+    if problem.conservative:
+        snes.setObjective(lambda _, y: problem.energy(y))
+    ksp = snes.ksp
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.pc.setType(PETSc.PC.Type.CHOLESKY)
+    ksp.pc.setFactorSolverType("mumps")
+    options = PETSc.Options()
+    for name, value in DEFAULTS.items():
+        if not options.hasName(name):
+            options.setValue(name, value)
+    return snes, newton
+
+
+# MUMPS: count negative pivots on several ranks too; no pivoting (a positive definite matrix needs none, and an
+# indefinite one only has to be recognised); half as much again of work space.
+DEFAULTS = {"mat_mumps_icntl_13": "1", "mat_mumps_cntl_1": "0.0", "mat_mumps_icntl_14": "50"}
+
+Progress = Callable[[LoadStep, PETSc.Vec], None]
+Monitor = Callable[[float, int, float], None]
+
+
+def solve_statics(
+    problem: Problem,
+    options: StaticsOptions | None = None,
+    *,
+    start: PETSc.Vec | None = None,
+    on_step: Progress | None = None,
+    monitor: Monitor | None = None,
+) -> Path:
+    """Follows the load from 0 to 1. Calls on_step after each converged step, monitor(factor, iteration, residual)
+    after each Newton iteration. Does not raise for lack of convergence: see Path and `require`."""
+    options = options or StaticsOptions()
+    matrix = problem.create_matrix()
+    snes, newton = create_snes(problem, matrix)
+    y = problem.create_vector() if start is None else start.copy()
+    path = Path(state=y.copy())
+    if monitor:
+        snes.setMonitor(lambda _, it, norm: monitor(problem.load_factor, it, norm))
+    factor, step = 0.0, 1.0 / options.load_steps
+    while factor < 1.0:
+        if path.attempts >= options.max_steps:
+            path.reason = f"max_steps = {options.max_steps} load steps were not enough; stopped at load factor {factor:g}"
+            return path
+        target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
+        path.attempts += 1
+        done = _advance(problem, snes, newton, y, target, options, path)
+        if done is None:
+            path.state.copy(y)
+            step *= 0.25
+            if step < SMALLEST_STEP:
+                path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
+                problem.load_factor = factor
+                return path
+            continue
+        factor = target
+        if path.attempts > 1 or step < 1.0:
+            step *= 2.0 if done.iterations <= EASY else (0.5 if done.iterations > HARD else 1.0)
+        if factor >= 1.0 and options.stability:
+            done = _settle(problem, snes, newton, y, done, options, path)
+        y.copy(path.state)
+        path.steps.append(done)
+        if on_step:
+            on_step(done, y)
+    path.converged, path.reason = True, "residual below tolerance"
+    return path
+
+
+def require(path: Path) -> Path:
+    """The path itself, or NotConverged with the reason."""
+    if not path.converged:
+        raise NotConverged(f"statics did not converge: {path.reason}")
+    return path
+
+
+def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None:
+    """Solves at one load factor; None without convergence."""
+    problem.load_factor = target
+    scale = problem.load_norm(y)
+    snes.setTolerances(rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=100)
+    snes.setFromOptions()
+    began = time.perf_counter()
+    snes.solve(None, y)
+    path.seconds["newton"] = path.seconds.get("newton", 0.0) + time.perf_counter() - began
+    iterations = snes.getIterationNumber()
+    path.newton_iterations += iterations
+    if snes.getConvergedReason() <= 0:
+        return None
+    return LoadStep(
+        target, iterations, snes.getFunctionNorm(), snes.getTolerances()[1], problem.energies(y), newton.negative
+    )
+
+
+def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
+    """Tests the end state; where it is a saddle, leaves it along its softest mode and minimises again."""
+    matrix = snes.getJacobian()[0]
+    for attempt in range(6):
+        newton.shift = 0.0
+        path.stable = newton._factor(snes, y, "exact")
+        if path.stable or attempt == 5:
+            break
+        value, mode = smallest_eigenpair(problem, matrix, problem.slow_rate())
+        path.smallest_eigenvalue = value
+        if not value < 0.0:
+            break
+        amplitude = options.perturbation * problem.thickness() * 4.0**attempt
+        saddle = y.copy()
+        y.axpy(amplitude, mode)
+        again = _advance(problem, snes, newton, y, 1.0, options, path)
+        if again is None:
+            saddle.copy(y)
+            continue
+        done = again
+    if path.stable and options.eigenvalue:
+        path.smallest_eigenvalue, _ = smallest_eigenpair(problem, matrix, 0.0)
+    elif path.stable:
+        path.smallest_eigenvalue = None
+    return done
+
+
+def _reason(snes: PETSc.SNES) -> str:
+    names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
+    norm, tolerance = snes.getFunctionNorm(), snes.getTolerances()[1]
+    return f"residual {norm:.3e} N misses {tolerance:.3e} N ({names.get(snes.getConvergedReason(), '?').lower()})"
