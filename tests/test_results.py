@@ -1,11 +1,13 @@
-"""The result file: same numbers from any number of ranks, readable by others, whole after a kill at any moment."""
+"""The result file: the same from any number of ranks, readable by others, whole after any kill."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,6 +178,16 @@ def test_killed_runs_keep_their_last_complete_step(tmp_path):
     assert max(seen) > 16, f"no run was killed after a rebuild: {seen}"
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("seconds", [0.05, 0.13, 0.4])
+def test_killed_parallel_runs_keep_their_last_complete_step(tmp_path, mpirun, seconds):
+    path = tmp_path / "result.vtkhdf"
+    done = mpirun(2, [sys.executable, __file__, str(path), "100000", str(seconds)], 60)
+    assert done.returncode != 0 and "parallel" not in done.stdout
+    with read_result(path) as result:
+        check(result, result.n_steps)
+
+
 def test_truncated_foreign_missing(tmp_path):
     path = tmp_path / "result.vtkhdf"
     write(path, MPI.COMM_SELF, 3)
@@ -286,7 +298,17 @@ def test_summary(tmp_path):
         read_summary(tmp_path / "none.json")
 
 
+def kill_self(path, seconds):
+    """SIGKILL to this process that long after the result has appeared."""
+    while not path.exists():
+        time.sleep(0.002)
+    time.sleep(seconds)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 if __name__ == "__main__":
+    if len(sys.argv) > 3:
+        threading.Thread(target=kill_self, args=(Path(sys.argv[1]), float(sys.argv[3])), daemon=True).start()
     made = write(sys.argv[1], MPI.COMM_WORLD, int(sys.argv[2]))
     if MPI.COMM_WORLD.rank == 0:
         print(f"parallel={made.parallel}")

@@ -1,4 +1,4 @@
-"""Reading `result.vtkhdf`. Trusts NSteps only, so the result of a killed run reads up to its last complete step."""
+"""Reading `result.vtkhdf`. Trusts NSteps only, so a killed run reads up to its last complete step."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from voile.results.writer import EDGES, OWN_VALUES, POINTS
 class Restart:
     """The state a run continues from, in the input's order.
 
-    value: time (s) or load factor; points (n, 3) m; edge_angles (e,) rad or None; point_data: velocity, reaction and
-    what else the run has per vertex and step; scalars: the step's figures.
+    value: time (s) or load factor; points (n, 3) m; edge_angles (e,) rad or None; point_data: velocity,
+    reaction and what else the run has per vertex and step; scalars: the step's figures.
     """
 
     value: float
@@ -161,7 +161,7 @@ class Result:
         return Restart(value, self.points(step), self.edge_angles(step), fields, self.scalars(step))
 
     def write_obj(self, path: str | os.PathLike[str], step: int = -1) -> None:
-        """The shape of a step as OBJ with the mesh's groups. Raises InputError if `path` cannot be written."""
+        """The shape of a step as OBJ with the mesh's groups. InputError if `path` cannot be written."""
         from voile.mesh import write_obj
 
         groups = (self.field("group"), self.group_names) if "group" in self.cell_fields else None

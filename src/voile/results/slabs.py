@@ -1,4 +1,4 @@
-"""From the rows each rank owns, anywhere in the global order, to contiguous slabs that a file takes in one piece."""
+"""From the rows each rank owns, anywhere in the global order, to contiguous slabs for a file."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Slabs:
         return self.end - self.begin
 
     def move(self, rows: np.ndarray) -> np.ndarray:
-        """The slab's rows in global order, from this rank's `rows` (k, ...) in the order of `index`. Collective."""
+        """The slab's rows in global order, from this rank's `rows` (k, ...) in `index` order. Collective."""
         from mpi4py import MPI
 
         rows = np.ascontiguousarray(np.asarray(rows)[self.order])

@@ -13,8 +13,8 @@ from voile.errors import InputError
 def write_summary(path: str | os.PathLike[str], summary: dict[str, Any]) -> None:
     """Write `summary` (keys of the interface: converged, reason, task, dofs, ...) as JSON, all or nothing.
 
-    numpy numbers and arrays become JSON numbers and lists. Raises ValueError naming the key of a number that is not
-    finite (JSON has none), TypeError for a value JSON cannot hold; the old file then stays as it is.
+    numpy numbers and arrays become JSON numbers and lists. Raises ValueError naming the key of a number that
+    is not finite (JSON has none), TypeError for a value JSON cannot hold; the old file then stays as it is.
     """
     path = Path(path)
     part = path.with_name(f".{path.name}.part")

@@ -1,16 +1,17 @@
 """Writing `result.vtkhdf`: VTKHDF 2.0, a temporal UnstructuredGrid whose topology is stored once.
 
-UnstructuredGrid rather than PolyData: its temporal form is the oldest (ParaView 5.12, VTK 9.3), and PolyData's
-four cell lists per step buy nothing for triangles.
+UnstructuredGrid rather than PolyData: its temporal form is the oldest (ParaView 5.12, VTK 9.3), and
+PolyData's four cell lists per step buy nothing for triangles.
 
-A run may be killed at any moment. So all HDF5 metadata is laid down once, for a capacity of steps, in a file under a
-temporary name; a step then writes raw rows at fixed places that no reader looks at yet, and commits by storing one
-integer, the attribute NSteps. Where the capacity runs out the file is rebuilt at twice the size beside the old one and
-renamed over it; closing rebuilds it to the exact size. Rows not yet written are holes and take no disk space.
+A run may be killed at any moment. So all HDF5 metadata is laid down once, for a capacity of steps, in a file
+under a temporary name; a step then writes raw rows at fixed places that no reader looks at yet, and commits
+by storing one integer, the attribute NSteps. Where the capacity runs out the file is rebuilt at twice the
+size beside the old one and renamed over it; closing rebuilds it to the exact size. Rows not yet written are
+holes and take no disk space.
 
-VTK copies all of Steps/Values into an array of NSteps numbers, so Values must never be longer than NSteps: it grows
-just after. A kill between these two writes leaves VTK with the time 0 for the last step; `read_result` takes the times
-from its own copy, written before the commit.
+VTK copies all of Steps/Values into an array of NSteps numbers, so Values must never be longer than NSteps: it
+grows just after. A kill between these two writes leaves VTK with the time 0 for the last step; `read_result`
+takes the times from its own copy, written before the commit.
 """
 
 from __future__ import annotations
@@ -66,9 +67,10 @@ def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
 class StaticMesh:
     """What does not change over the steps, in the input's order; needed on rank 0 only.
 
-    start (n, 3) m; triangles (m, 3); rest (nr, 3) m, None = start; rest_triangles (m, 3) where the rest shape has its
-    own vertices (seams of a flat panel), None = triangles; edges (e, 2) of the director angles, None = none;
-    group (m,) with its names; point_data / cell_data: further fields of the table in `fields` that stay as they are.
+    start (n, 3) m; triangles (m, 3); rest (nr, 3) m, None = start; rest_triangles (m, 3) where the rest shape
+    has its own vertices (seams of a flat panel), None = triangles; edges (e, 2) of the director angles, None
+    = none; group (m,) with its names; point_data / cell_data: further fields of the table in `fields` that
+    stay as they are.
     """
 
     start: np.ndarray
@@ -93,10 +95,11 @@ class _Stepped:
 class ResultWriter:
     """Writes steps to `path`, every rank its own rows. All methods are collective over `comm`.
 
-    mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was built
-    with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the latter.
-    A result already at `path` stays until the first step is complete; it and its summary are then kept as
-    `*.previous.*`. A writer is a context manager; after a crash the file holds the last complete step.
+    mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was
+    built with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the
+    latter. A result already at `path` stays until the first step is complete; it and its summary are then
+    kept as `*.previous.*`. A writer is a context manager; after a crash the file holds the last complete
+    step.
     """
 
     def __init__(
@@ -145,11 +148,12 @@ class ResultWriter:
         edge_index: np.ndarray | None = None,
         scalars: Mapping[str, float] | None = None,
     ) -> None:
-        """Append one step at `value` (time in s or load factor); complete on disk's page cache when it returns.
+        """Append one step at `value` (time in s or load factor); readable when it returns.
 
-        points (k, 3) m and point_data {name: (k, ...)} of the vertices this rank owns, point_index (k,) their place
-        in the input's order; cell_data and edge_angles likewise with their index. scalars: figures of the step,
-        the same on all ranks. Every step has the same names; names are those of `fields` (ValueError otherwise).
+        points (k, 3) m and point_data {name: (k, ...)} of the vertices this rank owns, point_index (k,) their
+        place in the input's order; cell_data and edge_angles likewise with their index. scalars: figures of
+        the step, the same on all ranks. Every step has the same names; names are those of `fields`
+        (ValueError otherwise).
         """
         rows: dict[str, tuple[Any, int, Any, Field]] = {
             POINTS: (points, self.n_points, point_index, Field("m", "position", 3))
@@ -303,8 +307,8 @@ class ResultWriter:
 def import_h5py(comm: MPI.Comm) -> Any:
     """h5py, the MPI build where there is one and `comm` has several ranks.
 
-    Debian installs both builds and picks at the first import, by mpirun's environment only; other launchers need
-    its H5PY_ALWAYS_USE_MPI.
+    Debian installs both builds and picks at the first import, by mpirun's environment only; other launchers
+    need its H5PY_ALWAYS_USE_MPI.
     """
     if comm.size > 1:
         os.environ.setdefault("H5PY_ALWAYS_USE_MPI", "1")

@@ -1,0 +1,155 @@
+"""`voile export`: one step of a result as a file that other programs read."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.post.quantities import quantity
+from voile.results import Result, read_result
+
+if TYPE_CHECKING:
+    import pyvista
+
+FORMATS = (".obj", ".ply", ".vtu", ".glb")
+PATTERNS = (".svg", ".dxf")
+
+
+def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int = -1) -> Path:
+    """Write a step of the result `path` to `out`, the format by its extension; returns `out`.
+
+    obj: the shape with its groups; ply: the shape in double precision; vtu: the shape with every stored field
+    and displacement, strain, curvature; glb: the shape with vertex normals, for viewers and web pages (single
+    precision). Raises InputError for another extension, a step that is not there, or a file that cannot be
+    written.
+    """
+    out = Path(out)
+    kind = out.suffix.lower()
+    if kind in PATTERNS:
+        raise InputError(
+            f"{out}: {kind[1:]} holds sewing patterns; this result has a draped shape and no pattern, "
+            f"allowed: {_list(FORMATS)}"
+        )
+    if kind not in FORMATS:
+        raise InputError(f"{out}: unknown format {kind or 'without extension'!r}; allowed: {_list(FORMATS)}")
+    with read_result(path) as result:
+        if not -result.n_steps <= step < result.n_steps:
+            raise InputError(
+                f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
+            )
+        try:
+            {".obj": Result.write_obj, ".ply": write_ply, ".vtu": write_vtu, ".glb": write_glb}[kind](
+                result, out, step
+            )
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    return out
+
+
+def write_ply(result: Result, out: Path, step: int) -> None:
+    """Binary little-endian PLY of a step, in double precision."""
+    points, triangles = result.points(step), result.triangles
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {result.path.name}, step {step}\n"
+        f"element vertex {len(points)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), dtype=[("n", "u1"), ("v", "<i4", 3)])
+    faces["n"], faces["v"] = 3, triangles
+    out.write_bytes(head.encode("ascii") + points.astype("<f8").tobytes() + faces.tobytes())
+
+
+def write_vtu(result: Result, out: Path, step: int) -> None:
+    """VTK XML unstructured grid of a step with all fields."""
+    with open(out, "wb"):
+        pass  # VTK only prints that it cannot write; this raises
+    grid(result, step).save(out, binary=True)
+
+
+def grid(result: Result, step: int) -> pyvista.UnstructuredGrid:
+    """The step as a PyVista grid with every stored field and displacement, strain and curvature."""
+    import pyvista
+
+    shape = pyvista.UnstructuredGrid({pyvista.CellType.TRIANGLE: result.triangles}, result.points(step))
+    for name in (*result.point_fields, *result.cell_fields, "displacement", "strain", "curvature"):
+        q = quantity(result, name, step)
+        (shape.point_data if q.location == "point" else shape.cell_data)[name] = q.values
+    return shape
+
+
+def write_glb(result: Result, out: Path, step: int) -> None:
+    """Binary glTF 2.0 of a step: one mesh with normals and a two-sided material, no textures.
+
+    Written here because VTK writes the JSON form only. Layout: Khronos glTF 2.0 specification, section 4.4.
+    """
+    points, triangles = result.points(step), result.triangles
+    parts = [
+        points.astype("<f4").tobytes(),
+        _vertex_normals(points, triangles).astype("<f4").tobytes(),
+        triangles.astype("<u4").tobytes(),
+    ]
+    starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).tolist()
+    low, high = (f(points.astype("<f4"), axis=0).tolist() for f in (np.min, np.max))
+    vertices = {"componentType": 5126, "count": len(points), "type": "VEC3"}
+    document = {
+        "asset": {"version": "2.0", "generator": "voile"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": result.path.stem}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2, "material": 0}]}
+        ],
+        "materials": [
+            {
+                "doubleSided": True,
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [0.62, 0.70, 0.82, 1.0],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": 0.9,
+                },
+            }
+        ],
+        "accessors": [
+            {"bufferView": 0, "min": low, "max": high, **vertices},
+            {"bufferView": 1, **vertices},
+            {"bufferView": 2, "componentType": 5125, "count": 3 * len(triangles), "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {
+                "buffer": 0,
+                "byteOffset": starts[i],
+                "byteLength": len(part),
+                "target": (34962, 34962, 34963)[i],
+            }
+            for i, part in enumerate(parts)
+        ],
+        "buffers": [{"byteLength": starts[-1]}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode("utf-8")
+    text += b" " * (-len(text) % 4)  # every chunk is a multiple of four bytes; the arrays are already
+    body = b"".join(parts)
+    chunks = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
+    )
+    out.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+
+
+def _vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, 3) unit normals, weighted by area; (0, 0, 1) where a vertex has none."""
+    corners = points[triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(normals, triangles[:, corner], area)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0, normals / np.where(length > 0, length, 1), [0.0, 0.0, 1.0])
+
+
+def _list(extensions: tuple[str, ...]) -> str:
+    return ", ".join(e[1:] for e in extensions)

@@ -1,0 +1,57 @@
+"""`voile info`: the figures of a result as text."""
+
+import os
+from typing import Any
+
+import numpy as np
+
+from voile.post.quantities import available, quantity
+from voile.results import read_result, read_summary
+
+
+def info(path: str | os.PathLike[str]) -> str:
+    """Steps, extents, range of every field at the last step, and the figures of `summary.json` beside it.
+
+
+    path: a result file or its directory. Raises InputError for what is not a result.
+    """
+    with read_result(path) as result:
+        low, high = result.points().min(axis=0), result.points().max(axis=0)
+        values = result.values
+        lines = [
+            f"{result.path}: result format {result.format_version}, "
+            + (", ".join(f"{k} {v}" for k, v in result.versions.items()) or "versions not recorded"),
+            f"  mesh          {result.n_points} vertices, {result.n_cells} triangles"
+            + (f", groups {', '.join(result.group_names)}" if result.group_names else ""),
+            f"  steps         {result.n_steps}, value {values[0]:.6g} to {values[-1]:.6g}",
+            f"  extent        {_vector(low)} to {_vector(high)} m at the last step",
+            "  last step     smallest, largest (magnitude of vectors)",
+        ]
+        for name in available(result):
+            if name in ("start", "rest", "input_vertex", "group"):
+                continue
+            q = quantity(result, name)
+            size = q.values if q.values.ndim == 1 else np.linalg.norm(q.values, axis=1)
+            smallest, largest = np.nanmin(size), np.nanmax(size)
+            lines.append(f"    {name:18s} {smallest:12.5g} {largest:12.5g} {q.unit:6s} {q.title}".rstrip())
+        for name, figure in result.scalars().items():
+            lines.append(f"    {name:18s} {figure:12.6g}")
+        beside = result.path.with_name("summary.json")
+    if beside.is_file():
+        lines += ["  summary", *_tree(read_summary(beside), "    ")]
+    return "\n".join(lines)
+
+
+def _tree(summary: dict[str, Any], indent: str) -> list[str]:
+    lines = []
+    for key, value in summary.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}", *_tree(value, indent + "  ")]
+        else:
+            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+            lines.append(f"{indent}{key:24s} {shown}")
+    return lines
+
+
+def _vector(x: np.ndarray) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in x) + ")"

@@ -1,0 +1,153 @@
+"""Quantities computed from the shapes in a result: strain per triangle, curvature per vertex."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voile.results import CELL_FIELDS, POINT_FIELDS, Result
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Values at the vertices (location "point") or triangles ("cell") of a shape, with title and SI unit."""
+
+    name: str
+    location: str
+    values: np.ndarray
+    unit: str
+    title: str
+
+
+DERIVED = {
+    "displacement": ("m", "displacement"),
+    "strain": ("", "largest principal Green strain"),
+    "curvature": ("1/m", "principal curvature of largest magnitude"),
+    "mean_curvature": ("1/m", "mean curvature"),
+}
+
+
+def quantity(result: Result, name: str, step: int = -1) -> Quantity:
+    """A stored field or a derived one (DERIVED) of a step; what is stored comes first.
+
+    Raises KeyError naming what there is for a name that is neither.
+    """
+    for location, stored, table in (
+        ("point", result.point_fields, POINT_FIELDS),
+        ("cell", result.cell_fields, CELL_FIELDS),
+    ):
+        if name in stored:
+            return Quantity(name, location, result.field(name, step), table[name].unit, table[name].meaning)
+    if name not in DERIVED:
+        known = ", ".join(available(result))
+        raise KeyError(f"no field {name!r}; there are {known}")
+    points = result.points(step)
+    if name == "displacement":
+        values = points - result.start
+    elif name == "strain":
+        values = largest_strain(points, result.triangles, result.rest, result.rest_triangles)
+    else:
+        mean, extreme = vertex_curvature(points, result.triangles)
+        values = mean if name == "mean_curvature" else extreme
+    return Quantity(name, "cell" if name == "strain" else "point", values, *DERIVED[name])
+
+
+def available(result: Result) -> list[str]:
+    """Names `quantity` takes for this result."""
+    return sorted({*DERIVED, *result.point_fields, *result.cell_fields})
+
+
+def largest_strain(
+    points: np.ndarray, triangles: np.ndarray, rest: np.ndarray, rest_triangles: np.ndarray
+) -> np.ndarray:
+    """(m,) larger principal Green strain (F^T F - I)/2, F from the flat rest triangle to the one in space.
+
+    points (n, 3), triangles (m, 3), rest (nr, 3), rest_triangles (m, 3). A rest triangle without area has
+    none: NaN.
+    """
+    corners, home = points[triangles], rest[rest_triangles]
+    d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    e1, e2 = home[:, 1] - home[:, 0], home[:, 2] - home[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        width = np.linalg.norm(
+            e1, axis=1
+        )  # the rest triangle in its own frame: (0, 0), (width, 0), (shear, height)
+        shear = (e1 * e2).sum(1) / width
+        height = np.linalg.norm(np.cross(e1, e2), axis=1) / width
+        f1 = d1 / width[:, None]
+        f2 = (d2 - shear[:, None] * f1) / height[:, None]
+    c11, c12, c22 = (f1 * f1).sum(1), (f1 * f2).sum(1), (f2 * f2).sum(1)
+    return ((c11 + c22) / 2 + np.hypot((c11 - c22) / 2, c12) - 1) / 2
+
+
+def hinges(triangles: np.ndarray) -> np.ndarray:
+    """(k, 4): vertices i, j of each inner edge and the triangles left and right of it, seen from i to j."""
+    tri = np.asarray(triangles, dtype=np.int64)
+    start, end = tri[:, [0, 1, 2]].ravel(), tri[:, [1, 2, 0]].ravel()
+    owner = np.repeat(np.arange(len(tri)), 3)
+    n = int(tri.max(initial=0)) + 1
+    key, twin = start * n + end, end * n + start
+    order = np.argsort(key)
+    at = np.minimum(np.searchsorted(key, twin, sorter=order), len(key) - 1)
+    half = order[at]
+    inner = (key[half] == twin) & (start < end)
+    return np.column_stack([start, end, owner, owner[half]])[inner]
+
+
+def hinge_angles(points: np.ndarray, triangles: np.ndarray, hinge: np.ndarray) -> np.ndarray:
+    """(k,) signed angle between the normals of each hinge, rad; positive where the surface bulges out."""
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    left, right = normal[hinge[:, 2]], normal[hinge[:, 3]]
+    axis = points[hinge[:, 1]] - points[hinge[:, 0]]
+    length = np.linalg.norm(axis, axis=1)
+    turn = np.cross(left, right)
+    return np.arctan2((turn * axis).sum(1) / np.where(length > 0, length, 1), (left * right).sum(1))
+
+
+def boundary_edges(triangles: np.ndarray) -> np.ndarray:
+    """(b, 2) vertex pairs of the edges with one triangle only."""
+    tri = np.asarray(triangles, dtype=np.int64)
+    pairs = tri[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    both, count = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
+    return both[count == 1]
+
+
+def vertex_curvature(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) mean curvature and (n,) principal curvature of largest magnitude, 1/m, positive for a sphere.
+
+    The curvature tensor of Cohen-Steiner & Morvan (2003): the sum of angle * length * t t^T over a vertex'
+    edges (t the edge's direction; a hinge curves across its edge), halved, over a third of its triangles'
+    area; then averaged over the vertex and its neighbours. Boundary edges have no angle, so boundary vertices
+    take their inner neighbours' average; a shape without inner vertices shows none.
+    """
+    n = len(points)
+    hinge = hinges(triangles)
+    angle = hinge_angles(points, triangles, hinge)
+    edge = points[hinge[:, 1]] - points[hinge[:, 0]]
+    length = np.linalg.norm(edge, axis=1)
+    rows, columns = np.triu_indices(3)
+    tensor = (angle / np.where(length > 0, length, 1))[:, None] * edge[:, rows] * edge[:, columns]
+    corners = points[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    own = _scatter(hinge[:, :2], np.repeat(tensor / 2, 2, axis=0), n)
+    own_area = _scatter(triangles, np.repeat(area / 3, 3)[:, None], n)
+    weight = np.ones((n, 1))
+    weight[boundary_edges(triangles)] = 0
+    inner = np.hstack([own, own_area]) * weight
+    across, back = hinge[:, 0], hinge[:, 1]
+    ring = inner + _scatter(across, inner[back], n) + _scatter(back, inner[across], n)
+    alone = ring[:, 6] <= 0  # corners, whose neighbours all lie on the boundary
+    around = np.repeat(ring[triangles].sum(axis=1), 3, axis=0)
+    ring[alone] = _scatter(triangles, around, n)[alone]
+    total = np.zeros((n, 3, 3))
+    total[:, rows, columns] = total[:, columns, rows] = ring[:, :6] / np.where(
+        ring[:, 6:] > 0, ring[:, 6:], 1
+    )
+    eigenvalues = np.linalg.eigvalsh(total)
+    extreme = np.where(-eigenvalues[:, 0] > eigenvalues[:, 2], eigenvalues[:, 0], eigenvalues[:, 2])
+    return eigenvalues.sum(axis=1) / 2, extreme
+
+
+def _scatter(index: np.ndarray, values: np.ndarray, n: int) -> np.ndarray:
+    """(n, c) sums of the rows `values` (k, c) at `index` (k entries)."""
+    return np.column_stack([np.bincount(index.ravel(), column, n) for column in values.T])

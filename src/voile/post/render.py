@@ -1,0 +1,194 @@
+"""`voile render`: a picture of a result, drawn off screen with PyVista."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.post.camera import look, parse_scene, upright
+from voile.post.quantities import Quantity, available, boundary_edges, hinge_angles, hinges, quantity
+from voile.results import Result, read_result
+
+if TYPE_CHECKING:
+    import pyvista
+
+FEATURE_ANGLE = np.radians(55.0)  # a closed start shape is outlined by the edges sharper than this
+GHOST = 0.02  # a displacement of this fraction of the size makes the start shape worth a light surface
+INK, LINE = "#1b1f24", "#5b6570"
+SEQUENTIAL, DIVERGING = "YlGnBu", "RdBu_r"  # pale where little happens, so that folds show
+
+
+def render(
+    path: str | os.PathLike[str],
+    out_png: str | os.PathLike[str],
+    *,
+    field: str = "displacement",
+    step: int = -1,
+    view: str | tuple[float, float] | None = None,
+    size: tuple[int, int] = (1600, 1200),
+    outline: bool = True,
+) -> Path:
+    """Draw a step of the result `path` coloured by `field` into `out_png`, without an X server.
+
+    field: displacement, strain, curvature, mean_curvature or any stored point or cell field (vectors by
+    magnitude). view: see `voile.post.camera.look`. size: width, height in pixels. outline: also draw the
+    undeformed shape's boundary, and its surface as a light ghost where it is far from the drawn one.
+    Returns the picture's path. Raises InputError for a field, view or step that is not there, or a file that
+    cannot be written.
+    """
+    out = Path(out_png)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: pictures are written as .png")
+    if min(size) < 100:
+        raise InputError(f"picture size {size[0]} x {size[1]} pixels; at least 100 x 100 expected")
+    with read_result(path) as result:
+        if not -result.n_steps <= step < result.n_steps:
+            raise InputError(
+                f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
+            )
+        if field not in available(result):
+            raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
+        scene = parse_scene(result.scene_text)
+        points, shown = result.points(step), quantity(result, field, step)
+        everything = np.concatenate([points, result.start]) if outline else points
+        camera = look(everything, upright(scene), view, size)
+        plotter = _plotter(size)
+        try:
+            _draw_shape(plotter, points, result.triangles, shown, size)
+            if outline:
+                _draw_start(plotter, result.start, points, result.triangles)
+            _write_title(plotter, _title(result, scene, step), size)
+            plotter.camera_position = [tuple(camera.position), tuple(camera.focus), tuple(camera.up)]
+            plotter.camera.view_angle = camera.angle
+            plotter.reset_camera_clipping_range()
+            _save(plotter, out)
+        finally:
+            plotter.close()
+    return out
+
+
+def _plotter(size: tuple[int, int]) -> Any:
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    # VTK warns of the missing X server, then does without
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
+    plotter.set_background("white")
+    # key light over the viewer's left shoulder, fill from the right: folds show, nothing is black
+    for place, strength in (((-0.5, 0.6, 1.0), 0.8), ((0.9, 0.1, 0.8), 0.3)):
+        light = pyvista.Light(position=place, intensity=strength, light_type="camera light")
+        plotter.add_light(light)
+    plotter.enable_anti_aliasing("ssaa")  # type: ignore[arg-type]
+    return plotter
+
+
+def _draw_shape(
+    plotter: Any,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    shown: Quantity,
+    size: tuple[int, int],
+) -> None:
+    shape = _surface(points, triangles)
+    values = shown.values if shown.values.ndim == 1 else np.linalg.norm(shown.values, axis=1)
+    (shape.point_data if shown.location == "point" else shape.cell_data)["shown"] = values
+    shape = shape.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
+    limits, colours = _colours(values)
+    unit = f" [{shown.unit}]" if shown.unit else ""
+    name = shown.name.replace("_", " ")
+    scale = size[1] / 1200
+    bar: dict[str, Any] = {
+        "title": f"{name}{unit}\n", "vertical": True, "position_x": 0.875, "position_y": 0.2, "width": 0.055,
+        "height": 0.55, "n_labels": 5, "fmt": "  %.3g", "color": INK, "font_family": "arial",
+        "title_font_size": int(30 * scale), "label_font_size": int(26 * scale),
+    }  # fmt: skip
+    plotter.add_mesh(
+        shape, scalars="shown", cmap=colours, clim=limits, scalar_bar_args=bar, smooth_shading=True,
+        interpolate_before_map=True, ambient=0.38, diffuse=0.7, specular=0.08, specular_power=12,
+        nan_color="lightgrey",
+    )  # fmt: skip
+    _draw_lines(plotter, points, boundary_edges(triangles), INK, 2.2 * scale, 1.0)
+
+
+def _draw_start(plotter: Any, start: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> None:
+    lines = boundary_edges(triangles)
+    if len(lines) == 0:  # a closed shape shows its sharp edges instead; on an open one they are stray strokes
+        hinge = hinges(triangles)
+        lines = hinge[np.abs(hinge_angles(start, triangles, hinge)) > FEATURE_ANGLE, :2]
+    _draw_lines(plotter, start, lines, LINE, 1.6, 1.0)
+    if np.linalg.norm(points - start, axis=1).max() > GHOST * np.ptp(start, axis=0).max():
+        plotter.add_mesh(_surface(start, triangles), color="#8fa3b8", opacity=0.12, lighting=False)
+
+
+def _draw_lines(
+    plotter: Any, points: np.ndarray, pairs: np.ndarray, colour: str, width: float, opacity: float
+) -> None:
+    import pyvista
+
+    if len(pairs) == 0:
+        return
+    lines = pyvista.PolyData(points, lines=np.column_stack([np.full(len(pairs), 2), pairs]).ravel())
+    plotter.add_mesh(lines, color=colour, line_width=width, opacity=opacity, lighting=False)
+
+
+def _colours(values: np.ndarray) -> tuple[tuple[float, float], str]:
+    """Range and colour map: symmetric about zero for both signs; the outermost percent saturates."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
+        return (0.0, 1.0), SEQUENTIAL
+    low, high = (float(x) for x in np.percentile(finite, [1, 99]))
+    if low < 0 < high and min(-low, high) > 0.25 * max(-low, high):
+        limit = _round_up(max(-low, high))
+        return (-limit, limit), DIVERGING
+    if -0.05 * high < low < 0.2 * high:
+        return (0.0, _round_up(high)), SEQUENTIAL
+    if not high - low > 1e-9 * max(abs(low), abs(high)):
+        high = low + (abs(low) or 1.0)  # one value all over still has a colour
+    return (low, high), SEQUENTIAL + "_r" * (high <= 0)
+
+
+def _round_up(limit: float) -> float:
+    """The next number whose quarters, the labels of the colour bar, are short."""
+    power = 10.0 ** np.floor(np.log10(limit))
+    steps = np.array([1, 1.2, 1.6, 2, 2.4, 2.8, 3.2, 4, 4.8, 6, 8, 10])
+    return float(power * steps[np.searchsorted(steps, limit / power * (1 - 1e-9))])
+
+
+def _title(result: Result, scene: dict[str, Any], step: int) -> str:
+    head = scene.get("scene", {})
+    value = result.values[step]
+    progress = f"time {value:.4g} s" if head.get("task") == "dynamics" else f"load factor {value:.4g}"
+    name = head.get("name", "")
+    return f"{name}    {progress}" if name else progress
+
+
+def _write_title(plotter: Any, title: str, size: tuple[int, int]) -> None:
+    plotter.add_text(
+        title,
+        position=(0.03, 0.94),
+        viewport=True,
+        font_size=max(6, int(15 * size[1] / 1200)),
+        color=INK,
+        font="arial",
+    )
+
+
+def _surface(points: np.ndarray, triangles: np.ndarray) -> pyvista.PolyData:
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(points, triangles)
+
+
+def _save(plotter: Any, out: Path) -> None:
+    from PIL import Image
+
+    picture = Image.fromarray(plotter.screenshot(return_img=True))
+    try:
+        picture.save(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
