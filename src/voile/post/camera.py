@@ -79,7 +79,7 @@ def look(
 
 
 def _front(up: np.ndarray, extent: np.ndarray) -> np.ndarray:
-    """The horizontal axis a viewer stands on: +z if y is up, -y if z is up; the other one for a deep shape."""
+    """The horizontal axis the viewer is on: +z if y is up, -y if z is up; the other one for a deep shape."""
     axis = int(np.argmax(np.abs(up)))
     first, second = {0: ((2, 1.0), (1, 1.0)), 1: ((2, 1.0), (0, 1.0)), 2: ((1, -1.0), (0, 1.0))}[axis]
     chosen = second if extent[first[0]] > 1.5 * extent[second[0]] else first

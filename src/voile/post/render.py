@@ -77,13 +77,13 @@ def _plotter(size: tuple[int, int]) -> Any:
 
     # VTK warns of the missing X server, then does without
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
     plotter.set_background("white")
     # key light over the viewer's left shoulder, fill from the right: folds show, nothing is black
     for place, strength in (((-0.5, 0.6, 1.0), 0.8), ((0.9, 0.1, 0.8), 0.3)):
         light = pyvista.Light(position=place, intensity=strength, light_type="camera light")
         plotter.add_light(light)
-    plotter.enable_anti_aliasing("ssaa")  # type: ignore[arg-type]
+    plotter.enable_anti_aliasing("ssaa")
     return plotter
 
 
