@@ -38,7 +38,7 @@ class Problem:
 
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
     Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
-    its work is then left out of `energy`.
+    its work is then left out of `energy`. `moves`: some support is displaced along the load path.
     """
 
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
@@ -72,6 +72,7 @@ class Problem:
         ).ravel()
         self._own = np.zeros(len(part.vertex), dtype=bool)
         self._own[part.owned_vertices] = True
+        self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._make_vectors()
         self._scatter: _kernels.Scatter | None = None
 

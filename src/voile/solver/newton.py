@@ -16,6 +16,7 @@ from voile.problem.discrete import Problem
 
 SUFFICIENT = 1e-4  # fraction of the predicted decrease that a step must reach (Armijo)
 SHORTEST = 1e-10  # relative step length at which the line search gives up
+PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
 ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
 
 
@@ -25,8 +26,8 @@ def negative_pivots(pc: PETSc.PC) -> int | None:
     if pc.getType() != PETSc.PC.Type.CHOLESKY:
         return None
     factor = pc.getFactorMatrix()
-    if pc.getFactorSolverType() == "mumps" and factor.getMumpsInfog(1) < 0:
-        return 1
+    if pc.getFactorSolverType() == "mumps":  # INFOG(1): error, INFOG(12): negative pivots
+        return 1 if factor.getMumpsInfog(1) < 0 else factor.getMumpsInfog(12)
     try:
         return int(factor.getInertia()[0])
     except PETSc.Error:
@@ -47,6 +48,9 @@ class Step:
 
 class Newton:
     """Python context of the SNES; `problem` gives potential, residual and tangent."""
+
+    mixed_limit = 15  # iterations of the fast steps
+    descend = True  # False: fast steps only
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -69,6 +73,12 @@ class Newton:
         snes.logConvergenceHistory(norm, 0)
         snes.setConvergedReason(self._test(snes, 0, y, direction, norm))
         snes.monitor(0, norm)
+        if snes.reason:
+            return
+        if not self.descend:
+            if not self._mixed(snes, y, residual, direction):
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
+            return
         length, exact = 1.0, True
         for it in range(1, snes.getTolerances()[3] + 1):
             if snes.reason:
@@ -97,6 +107,37 @@ class Newton:
         if not snes.reason:
             snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
 
+    def _mixed(self, snes, y, residual, direction) -> bool:
+        """Full Newton steps whose geometric stiffness uses linearly extrapolated stresses. They ignore the potential
+        on their way, so only a converged minimum counts; else y is put back."""
+        start = y.copy()
+        first = norm = snes.getFunctionNorm()
+        for it in range(1, self.mixed_limit + 1):
+            minimum = self._factor(snes, y, "exact" if it == 1 else "mixed")
+            snes.ksp.solve(residual, direction)
+            direction.scale(-1.0)
+            if not np.isfinite(direction.norm()):
+                break
+            self.problem.predict(y, direction)
+            y.axpy(1.0, direction)
+            snes.computeFunction(y, residual)
+            norm = residual.norm()
+            if not np.isfinite(norm) or (it > 3 and norm > 1e8 * first):
+                break
+            self.steps.append(Step(it, norm, np.nan, 1.0, False, 0.0))
+            snes.setIterationNumber(it)
+            snes.setFunctionNorm(norm)
+            snes.logConvergenceHistory(norm, 0)
+            snes.monitor(it, norm)
+            reason = self._test(snes, it, y, direction, norm)
+            if reason > 0 and minimum:
+                snes.setConvergedReason(reason)
+                return True
+            if reason > 0:
+                break
+        start.copy(y)
+        return False
+
     def _test(self, snes, it, y, direction, norm):
         if not np.isfinite(norm):
             return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
@@ -109,11 +150,10 @@ class Newton:
 
     def _direction(self, snes, y, residual, direction, length) -> tuple[bool, float | None]:
         """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
-        exact = self._wait == 0
-        if not exact:
-            self._wait -= 1
+        self._wait -= 1
+        exact = self._wait < 0
         if exact and not self._factor(snes, y, "exact"):
-            exact = False
+            exact, self._wait = False, PATIENCE
         if not exact:
             while not self._factor(snes, y, "safe"):
                 if not self._regularise():

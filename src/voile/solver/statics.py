@@ -11,8 +11,9 @@ from voile.problem.discrete import Problem
 from voile.solver.newton import Newton
 from voile.solver.stability import smallest_eigenpair
 
-EASY, HARD = 8, 25  # Newton iterations under which a load step grows, over which it shrinks
+EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
+FAST_CUTS = 3  # failures of the fast steps before the descent method takes over
 
 
 @dataclass
@@ -95,31 +96,44 @@ def solve_statics(
     """Follows the load from 0 to 1. Calls on_step after each converged step, monitor(factor, iteration, residual)
     after each Newton iteration. Does not raise for lack of convergence: see Path and `require`."""
     options = options or StaticsOptions()
-    matrix = problem.create_matrix()
-    snes, newton = create_snes(problem, matrix)
-    y = problem.create_vector() if start is None else start.copy()
-    path = Path(state=y.copy())
+    snes, newton = create_snes(problem, problem.create_matrix())
     if monitor:
         snes.setMonitor(lambda _, it, norm: monitor(problem.load_factor, it, norm))
-    factor, step = 0.0, 1.0 / options.load_steps
+    y = problem.create_vector() if start is None else start.copy()
+    path = Path(state=y.copy())
+    try:
+        _follow(problem, snes, newton, y, options, path, on_step)
+    finally:
+        snes.destroy()  # its callbacks refer back to the problem
+    return path
+
+
+def _follow(problem, snes, newton, y, options, path, on_step) -> None:
+    """Steps until the full load. Fast full steps first, in load steps cut where they fail; where that does not help
+    (buckling, floppy cloth) the descent method takes over, at once for the whole load unless supports move."""
+    factor, step, cuts = 0.0, 1.0 / options.load_steps, 0
     while factor < 1.0:
         if path.attempts >= options.max_steps:
-            path.reason = f"max_steps = {options.max_steps} load steps were not enough; stopped at load factor {factor:g}"
-            return path
+            path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
+            return
+        newton.descend = cuts >= FAST_CUTS
         target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
         done = _advance(problem, snes, newton, y, target, options, path)
         if done is None:
+            problem.load_factor = factor
             path.state.copy(y)
-            step *= 0.25
             if step < SMALLEST_STEP:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
-                problem.load_factor = factor
-                return path
+                return
+            step *= 0.25
+            cuts += 1
+            if cuts == FAST_CUTS:
+                step = 1.0 / options.load_steps if problem.moves else 1.0
             continue
         factor = target
-        if path.attempts > 1 or step < 1.0:
-            step *= 2.0 if done.iterations <= EASY else (0.5 if done.iterations > HARD else 1.0)
+        if newton.descend or done.iterations <= EASY:
+            step *= 2.0
         if factor >= 1.0 and options.stability:
             done = _settle(problem, snes, newton, y, done, options, path)
         y.copy(path.state)
@@ -127,7 +141,6 @@ def solve_statics(
         if on_step:
             on_step(done, y)
     path.converged, path.reason = True, "residual below tolerance"
-    return path
 
 
 def require(path: Path) -> Path:
@@ -141,7 +154,7 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
     scale = problem.load_norm(y)
-    snes.setTolerances(rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=100)
+    snes.setTolerances(rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=500)
     snes.setFromOptions()
     began = time.perf_counter()
     snes.solve(None, y)
@@ -159,7 +172,7 @@ def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
     """Tests the end state; where it is a saddle, leaves it along its softest mode and minimises again."""
     matrix = snes.getJacobian()[0]
     for attempt in range(6):
-        newton.shift = 0.0
+        newton.shift, newton.descend = 0.0, True
         path.stable = newton._factor(snes, y, "exact")
         if path.stable or attempt == 5:
             break
