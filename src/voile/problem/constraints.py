@@ -1,89 +1,70 @@
-"""Degrees of freedom as an affine function of the unknowns: dof = C unknown + lift (supports, seams, clamps)."""
+"""Degrees of freedom as an affine function of the unknowns: dof = C unknown + gap + load factor * lift."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from voile.errors import InputError
+from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.shell import Shell
 
 
 @dataclass
 class Constraints:
-    """Which degrees of freedom (3*vertex + axis, then edges) are unknowns and how the others follow.
+    """Degrees of freedom: 3*vertex + axis, then edges.
 
-    matrix C (dofs, dofs): rows of unknowns are unit rows, rows of seam slaves combine unknowns, rows of supports are
-    empty. seam (dofs, dofs) carries prescribed values (columns: supported dofs) to the slaves that follow them.
-    free (dofs,) marks the unknowns. gap (dofs,) is the constant displacement that closes the seams of the start shape.
+    matrix C (dofs, dofs): unit rows for unknowns, combinations of unknowns for what is sewn to them, empty rows for
+    supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. gap (dofs,) is the displacement that closes
+    the seams of the start shape, lift (dofs,) the supports' at load factor 1, carried along the seams.
     """
 
     matrix: sp.csr_matrix
-    seam: sp.csr_matrix
     free: np.ndarray
     fixed: np.ndarray
     gap: np.ndarray
+    lift: np.ndarray
 
 
 def build_constraints(shell: Shell, directors: bool) -> Constraints:
-    """Constraints of a shell; raises InputError where seams and supports contradict each other."""
+    """Constraints of a shell; what a supported vertex is sewn to is supported with it."""
     n, edges = len(shell.points), len(shell.topology.edges)
-    size = 3 * n + edges
-    fixed = np.zeros(size, dtype=bool)
-    fixed[: 3 * n] = _spread_supports(shell).ravel()
-    fixed[3 * n :] = not directors
-    fixed[3 * n + shell.clamped_edges] = True
-    slave = np.zeros(size, dtype=bool)
-    slave[: 3 * n].reshape(n, 3)[shell.slave] = True
-    slave &= ~fixed
-    follow = _seam_matrix(shell, size, slave)
-    free = ~fixed & ~slave
-    total = sp.identity(size, format="csr")
-    power = follow
-    for _ in range(len(shell.slave) + 1):  # chains of seams: (1 - S)^-1 = 1 + S + S^2 + ... (S is nilpotent)
-        if power.nnz == 0:
-            break
-        total = total + power
-        power = (power @ follow).tocsr()
-        power.eliminate_zeros()
-    else:
-        raise InputError("stitches: a seam follows itself around a cycle")
-    x = shell.points.ravel()
-    gap = np.zeros(size)
-    rows = follow[: 3 * n, : 3 * n]
-    own = np.where(slave[: 3 * n], rows @ x - x, 0.0)
-    gap[: 3 * n] = (total[: 3 * n, : 3 * n] @ own) * slave[: 3 * n]
-    keep = sp.diags(free.astype(float))
-    held = sp.diags(fixed.astype(float))
-    matrix = (total @ keep).tocsr()
-    seam = (total @ held).tocsr()
-    for m in (matrix, seam):
-        m.eliminate_zeros()
-        m.sort_indices()
-    return Constraints(matrix, seam, free, fixed, gap)
+    sewing, base = _sewing(shell)
+    touches = sewing.astype(bool).astype(float)
+    fixed_base = (touches.T @ shell.fixed.astype(float)) > 0.0
+    share = sewing.T @ shell.fixed.astype(float)
+    motion = (sewing.T @ (shell.motion * shell.fixed)) / np.where(share > 0.0, share, 1.0) * fixed_base
+    home = _home(sewing, base, shell.points, fixed_base)
+    gap = (sewing @ home - shell.points).ravel() if len(shell.slave) else np.zeros(3 * n)
+    column = (3 * base[:, None] + np.arange(3)).ravel()
+    place = sp.csr_matrix((np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n))
+    keep = sp.diags((~fixed_base).ravel().astype(float))
+    vertices = (sp.kron(sewing, sp.identity(3), format="csr") @ keep @ place).tocsr()
+    director_free = np.full(edges, directors)
+    director_free[shell.clamped_edges] = False
+    matrix = sp.block_diag([vertices, sp.diags(director_free.astype(float))], format="csr")
+    matrix.eliminate_zeros()
+    matrix.sort_indices()
+    free = np.zeros(3 * n + edges, dtype=bool)
+    free[column] = ~fixed_base.ravel()
+    free[3 * n :] = director_free
+    fixed = np.concatenate([np.diff(vertices.indptr) == 0, ~director_free])
+    none = np.zeros(edges)
+    return Constraints(
+        matrix, free, fixed, np.concatenate([gap, none]), np.concatenate([(sewing @ motion).ravel(), none])
+    )
 
 
-def _spread_supports(shell: Shell) -> np.ndarray:
-    """(n, 3) supported axes; what a supported slave is sewn to is supported with it."""
-    fixed = shell.fixed.copy()
-    for _ in range(len(shell.slave)):
-        wanted = fixed[shell.slave]
-        before = fixed.sum()
-        for master, share in ((shell.first, 1.0 - shell.weight), (shell.second, shell.weight)):
-            used = share != 0.0
-            np.logical_or.at(fixed, master[used], wanted[used])
-        if fixed.sum() == before:
-            break
-    return fixed
+def _sewing(shell: Shell) -> tuple[sp.csr_matrix, np.ndarray]:
+    """x = P x[base] for the seams; the identity without."""
+    n = len(shell.points)
+    if not len(shell.slave):
+        return sp.identity(n, format="csr"), np.arange(n)
+    return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
 
 
-def _seam_matrix(shell: Shell, size: int, slave: np.ndarray) -> sp.csr_matrix:
-    """S with x_slave = S x; zero rows elsewhere."""
-    axes = np.arange(3)
-    row = (3 * shell.slave[:, None] + axes).ravel()
-    entries = []
-    for master, share in ((shell.first, 1.0 - shell.weight), (shell.second, shell.weight)):
-        entries.append((row, (3 * master[:, None] + axes).ravel(), np.repeat(share, 3)))
-    row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
-    keep = slave[row] & (value != 0.0)
-    return sp.csr_matrix((value[keep], (row[keep], column[keep])), shape=(size, size))
+def _home(sewing: sp.csr_matrix, base: np.ndarray, points: np.ndarray, fixed_base: np.ndarray) -> np.ndarray:
+    """Where the base vertices start: vertices joined to one meet half way, unless supported."""
+    joined = sewing.copy()
+    joined.data = (joined.data == 1.0).astype(float)
+    mean = (joined.T @ points) / np.asarray(joined.sum(axis=0)).T
+    return np.where(fixed_base, points[base], mean)

@@ -1,5 +1,9 @@
 """The discrete problem on PETSc's layout: potential, residual and tangent of a distributed shell."""
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -53,6 +57,7 @@ class Problem:
         self.directors, self.bends = probe.directors, probe.bends
         self.part = part = distribute(shell, self.directors, comm)
         self.load_factor = 1.0
+        self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
         self.kernel = _kernels.Elastic(
             self.model, part.corners, part.triangle_edges, part.signs, part.across, len(part.edge), part.points
@@ -135,12 +140,19 @@ class Problem:
         dofs = self.part.matrix @ np.concatenate([y.array_r, self._ghost_values.array_r])
         return dofs[: self._size[0]], dofs[self._size[0] :]
 
+    @contextmanager
+    def _timed(self) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self.seconds["assembly"] += time.perf_counter() - began
+
     # ---- potential, residual, tangent ----
 
     def energies(self, y: PETSc.Vec) -> dict[str, float]:
         """Parts of the potential (J)."""
         u, phi = self.local(y)
-        stretching, bending = self.kernel.energy(u, phi)
+        with self._timed():
+            stretching, bending = self.kernel.energy(u, phi)
         own = np.zeros(len(ENERGIES))
         own[:2] = stretching, bending
         factor, rows = self.load_factor, np.repeat(self._own, 3)
@@ -155,16 +167,15 @@ class Problem:
 
     def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
         """Writes the gradient of the potential (N; N m for directors) to f."""
-        f.array[:] = self._collect @ self._forces(y, loads=True)
+        f.array[:] = self._collect @ self._forces(y)
 
-    def _forces(self, y: PETSc.Vec, loads: bool) -> np.ndarray:
+    def _forces(self, y: PETSc.Vec) -> np.ndarray:
+        """Gradient of the potential in all local dofs; complete for those of this rank."""
         u, phi = self.local(y)
         gradient, edge_gradient = np.zeros_like(u), np.zeros_like(phi)
-        self.kernel.gradient(u, phi, gradient, edge_gradient)
-        total = np.concatenate([gradient, edge_gradient])
-        if loads:
-            total -= self._loads(u)
-        return total
+        with self._timed():
+            self.kernel.gradient(u, phi, gradient, edge_gradient)
+        return np.concatenate([gradient, edge_gradient]) - self._loads(u)
 
     def _loads(self, u: np.ndarray) -> np.ndarray:
         """External forces on all local dofs; complete for those of this rank."""
@@ -191,13 +202,13 @@ class Problem:
         """Norm of the supports' reactions (N)."""
         part = self.part
         held = part.fixed[: self._size[0]] & np.repeat(self._own, 3)
-        reaction = self._forces(y, loads=True)[: self._size[0]][held]
+        reaction = self._forces(y)[: self._size[0]][held]
         return float(np.sqrt(self.comm.allreduce(float(reaction @ reaction))))
 
     def reactions(self, y: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
         held = self.part.fixed[: self._size[0]]
-        return (self._forces(y, loads=True)[: self._size[0]] * held).reshape(-1, 3)
+        return (self._forces(y)[: self._size[0]] * held).reshape(-1, 3)
 
     def tangent(self, y: PETSc.Vec, matrix: PETSc.Mat, kind: str = "exact") -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
@@ -207,12 +218,13 @@ class Problem:
         u, phi = self.local(y)
         if self.part.moment.any():
             self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
-        self.kernel.hessian(u, phi, kind, self._scatter)
-        if self.pressure and kind != "safe":
-            _kernels.add_pressure_hessian(
-                self._scatter, self.part.corners, self._positions(u), -self.load_factor * self.pressure
-            )
-        matrix.assemble()
+        with self._timed():
+            self.kernel.hessian(u, phi, kind, self._scatter)
+            if self.pressure and kind != "safe":
+                _kernels.add_pressure_hessian(
+                    self._scatter, self.part.corners, self._positions(u), -self.load_factor * self.pressure
+                )
+            matrix.assemble()
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""

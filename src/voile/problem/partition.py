@@ -137,8 +137,6 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     mine = clamps[triangle_local[clamps[:, 0].astype(np.int64) // 3] >= 0] if len(clamps) else clamps
     held = mine[:, 0].astype(np.int64)
     mine = np.column_stack([3 * triangle_local[held // 3] + held % 3, mine[:, 1:]])
-    motion = np.zeros(3 * n + edges)
-    motion[: 3 * n] = shell.motion.ravel()
     force = np.zeros((n, 3)) if shell.force is None else shell.force
     moment = np.zeros((len(shell.triangles), 3)) if shell.moment is None else shell.moment.reshape(-1, 3)
     counted = numbering.node_owner[shell.triangles[triangles, 0]] == rank
@@ -158,7 +156,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         weight=counted.astype(float),
         matrix=matrix,
         gap=constraints.gap[dofs],
-        lift=(constraints.seam @ motion)[dofs],
+        lift=constraints.lift[dofs],
         fixed=constraints.fixed[dofs],
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=lumped_mass(shell)[dofs],

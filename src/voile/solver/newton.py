@@ -7,6 +7,9 @@ sufficient decrease of the potential; where round-off hides the decrease, or the
 at the slope instead (Hager & Zhang 2005, approximate Wolfe conditions).
 """
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +60,7 @@ class Newton:
         self.steps: list[Step] = []
         self.shift = 0.0
         self.negative: int | None = None
+        self.seconds = 0.0  # in factorisations and solves
         self._mass: PETSc.Vec | None = None
         self._wait = 0
 
@@ -114,8 +118,7 @@ class Newton:
         first = norm = snes.getFunctionNorm()
         for it in range(1, self.mixed_limit + 1):
             minimum = self._factor(snes, y, "exact" if it == 1 else "mixed")
-            snes.ksp.solve(residual, direction)
-            direction.scale(-1.0)
+            self._apply_inverse(snes, residual, direction)
             if not np.isfinite(direction.norm()):
                 break
             self.problem.predict(y, direction)
@@ -165,10 +168,20 @@ class Newton:
         return exact, slope
 
     def _solve(self, snes, residual, direction) -> float | None:
-        snes.ksp.solve(residual, direction)
-        direction.scale(-1.0)
+        self._apply_inverse(snes, residual, direction)
         slope = residual.dot(direction)
         return slope if np.isfinite(slope) and slope < 0.0 else None
+
+    def _apply_inverse(self, snes, residual, direction) -> None:
+        with self._timed():
+            snes.ksp.solve(residual, direction)
+        direction.scale(-1.0)
+
+    @contextmanager
+    def _timed(self) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - began
 
     def _factor(self, snes: PETSc.SNES, y: PETSc.Vec, kind: str) -> bool:
         """Assembles and factors; False if that fails or the matrix is not positive definite."""
@@ -182,7 +195,8 @@ class Newton:
             matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
         ksp = snes.ksp
         ksp.setOperators(matrix)
-        ksp.pc.setUp()
+        with self._timed():
+            ksp.pc.setUp()
         negative = negative_pivots(ksp.pc)
         if kind != "safe" and self.shift == 0.0:
             self.negative = negative

@@ -1,0 +1,70 @@
+"""What a run will model and why: terms, unknowns, solver, memory. Solves nothing. Used by cli only."""
+
+import numpy as np
+
+from voile.elastic import model_name
+from voile.scene import Scene
+from voile.wiring import Model, weight
+
+STIFFNESS_RATIO = 1e-12  # (thickness/size)^2 under which bending stiffness is lost in double precision
+
+
+def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
+    """(feature, kept or left out, reason) for every term and unknown the program knows."""
+    shell, spec = model.shell, scene.shell
+    koiter = spec.model == "koiter"
+    bends, directors = spec.model != "membrane", koiter and spec.bending != "average"
+    inner = int((shell.topology.across >= 0).sum()) // 2
+    rows = [
+        ("stretching", True, f"material {spec.material}" if spec.model != "discrete-shells" else "lengths and areas"),
+        ("bending", bends, f"model {spec.model}, {inner} hinges" if bends else "a membrane has no bending stiffness"),
+        (
+            "director angles",
+            directors,
+            f"one unknown per edge for bending = {spec.bending!r}"
+            if directors
+            else ("mid-edge normals are averages of the faces'" if koiter else f"model {spec.model} has none"),
+        ),
+        ("rest curvature", bends and not shell.flat, "the flat rest shape has none" if shell.flat else "from the rest shape"),
+        ("seams", len(shell.slave) > 0, f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices"
+         if len(shell.slave) else "no stitch records"),
+        ("gravity", bool(shell.gravity.any()), f"{weight(shell):.4g} kg" if shell.gravity.any() else "loads.gravity is zero"),
+        ("pressure", shell.pressure != 0.0, "follows the surface" if shell.pressure else "loads.pressure is zero"),
+        ("dead forces", shell.force is not None, "loads.force" if shell.force is not None else "no [[loads.force]]"),
+        ("end moments", shell.moment is not None, "loads.moment" if shell.moment is not None else "no [[loads.moment]]"),
+        ("moving supports", bool(shell.motion.any()), "fix.move" if shell.motion.any() else "no support moves"),
+        ("contact", False, "no [[obstacle]]"),
+        ("friction", False, "no [[obstacle]]"),
+        ("mass", False, f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only"),
+    ]
+    return rows
+
+
+def explain(scene: Scene, model: Model) -> str:
+    """The text of `voile explain`."""
+    shell = model.shell
+    rows = modelled(scene, model)
+    kept = {name for name, keep, _ in rows if keep}
+    n, e = len(shell.points), len(shell.topology.edges)
+    slaves = len(np.unique(shell.slave))
+    displacement = 3 * (n - slaves) - int(shell.fixed.sum())
+    angles = e - len(shell.clamped_edges) if "director angles" in kept else 0
+    size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    entries = (165 if angles else 85) * len(shell.triangles)
+    factor = 24 * (displacement + angles) * max(np.log2(max(displacement + angles, 2)), 1.0)
+    lines = [
+        f"{scene.scene.name or scene.path}: {scene.scene.task}",
+        f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m ({model.surface.source})",
+        f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
+        f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
+        "solver    Newton (mixed steps, then descent on the potential), MUMPS LDL^T; PETSc options after --",
+        f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
+        f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
+        "",
+    ]
+    width = max(len(name) for name, _, _ in rows)
+    lines += [f"  {'+' if keep else '-'} {name:<{width}}  {reason}" for name, keep, reason in rows]
+    lines += [f"  note: {note}" for note in model.notes]
+    if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
+        lines.append("  note: bending stiffness is at round-off against stretching; consider model = 'membrane'")
+    return "\n".join(lines)

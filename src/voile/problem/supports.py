@@ -1,0 +1,83 @@
+"""Rigid motions that the supports leave: what would make the equilibrium undetermined, said before solving."""
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from voile.errors import InputError
+from voile.problem.shell import Shell
+
+AXES = "xyz"
+
+
+def check_supports(shell: Shell) -> None:
+    """Raises InputError where a piece of the shell (sewn pieces count as one) may move rigidly without its load
+    holding it: any translation; the turn about the vertical of a hanging piece; any rotation without a load."""
+    pieces = _pieces(shell)
+    for piece in range(pieces.max() + 1):
+        vertices = np.flatnonzero(pieces == piece)
+        modes = _free_modes(shell, vertices)
+        if not len(modes):
+            continue
+        text = _describe(shell, modes)
+        if text:
+            which = "the shell" if pieces.max() == 0 else f"the piece with vertex {vertices[0]} ({len(vertices)} vertices)"
+            raise InputError(f"fix: {which} is free to move rigidly: {text}; add supports ([[fix]]) that prevent it")
+
+
+def _pieces(shell: Shell) -> np.ndarray:
+    """(n,) index of each vertex's piece; vertices of no triangle are pieces of their own."""
+    n = len(shell.points)
+    t = shell.triangles
+    pairs = [t[:, [0, 1]], t[:, [1, 2]], np.column_stack([shell.slave, shell.first])]
+    pairs.append(np.column_stack([shell.slave, shell.second]))
+    pair = np.concatenate(pairs)
+    graph = sp.csr_matrix((np.ones(len(pair)), (pair[:, 0], pair[:, 1])), shape=(n, n))
+    return connected_components(graph, directed=False)[1]
+
+
+def _free_modes(shell: Shell, vertices: np.ndarray) -> np.ndarray:
+    """(k, 6) basis of the rigid motions (translation, rotation times size) that the supports allow."""
+    x = shell.points[vertices]
+    centre, size = x.mean(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-300)
+    rows = [np.zeros((1, 6))]
+    for axis in range(3):
+        held = shell.fixed[vertices, axis]
+        r = (x[held] - centre) / size
+        unit = np.eye(3)[axis]
+        rows.append(np.column_stack([np.tile(unit, (len(r), 1)), np.cross(r, unit)]))
+    edge = shell.topology.edges[shell.clamped_edges]
+    edge = edge[np.isin(edge[:, 0], vertices)]
+    along = shell.points[edge[:, 1]] - shell.points[edge[:, 0]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True) if len(along) else 1.0
+    rows.append(np.column_stack([np.zeros_like(along), along]))
+    gram = sum(r.T @ r for r in rows)
+    values, vectors = np.linalg.eigh(gram)
+    return vectors[:, values < 1e-12 * max(values[-1], 1.0)].T
+
+
+def _describe(shell: Shell, modes: np.ndarray) -> str:
+    """What of the free modes the load does not hold; empty if it holds all."""
+    gravity = np.asarray(shell.gravity, dtype=float)
+    loaded = bool(gravity.any() or shell.pressure or shell.force is not None or shell.moment is not None)
+    # combinations of the modes that do not rotate
+    u, s, _ = np.linalg.svd(modes[:, 3:])
+    still = u[:, np.sum(s > 1e-9) :].T @ modes
+    if len(still):
+        return "translation along " + ", ".join(_direction(m[:3]) for m in still)
+    if not loaded:
+        return "rotation about " + ", ".join(_direction(m[3:]) for m in modes) + ", and there is no load to hold it"
+    if gravity.any() and not (shell.pressure or shell.force is not None or shell.moment is not None):
+        down = gravity / np.linalg.norm(gravity)
+        turned = np.linalg.lstsq(modes[:, 3:].T, down, rcond=None)[0] @ modes
+        if np.linalg.norm(turned[3:] - down) < 1e-9 and abs(turned[:3] @ down) < 1e-9:
+            return f"rotation about the direction of gravity, {_direction(down)}"
+    return ""
+
+
+def _direction(v: np.ndarray) -> str:
+    v = v / max(np.linalg.norm(v), 1e-300)
+    k = int(np.argmax(np.abs(v)))
+    if abs(v[k]) > 1.0 - 1e-9:
+        return AXES[k]
+    return "(" + ", ".join(f"{c:.3g}" for c in v) + ")"

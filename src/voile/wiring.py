@@ -1,0 +1,138 @@
+"""From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by cli only."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from voile.elastic import model_name
+from voile.errors import InputError
+from voile.mesh import Rest, Surface, boundary_loops, read_mesh, read_rest, select
+from voile.mesh.topology import Topology, build_topology
+from voile.problem.shell import Shell, triangle_areas
+from voile.problem.supports import check_supports
+from voile.scene import Scene
+
+
+@dataclass
+class Model:
+    """A scene's shell as arrays, with what results and `explain` say of it."""
+
+    shell: Shell
+    surface: Surface
+    rest: Rest
+    notes: list[str]
+
+
+def build_model(scene: Scene) -> Model:
+    """Reads and checks everything a scene names; raises InputError with the scene's key in question."""
+    spec = scene.shell
+    surface = read_mesh(spec.mesh, spec.scale, spec.seams)
+    rest = read_rest(spec.rest if spec.rest is None else str(spec.rest), surface, Path(scene.path).parent, spec.scale)
+    topology = build_topology(surface.triangles)
+    loops = boundary_loops(surface.triangles, topology, surface.points)
+    fixed, motion, clamped = _supports(scene, surface, topology, loops)
+    thickness, young, poisson, density = _fabric(scene, surface)
+    shell = Shell(
+        points=surface.points,
+        triangles=surface.triangles,
+        rest_points=rest.points,
+        rest_triangles=rest.triangles,
+        flat=rest.flat,
+        model=model_name(spec.model, spec.bending, spec.material),
+        thickness=thickness,
+        young=young,
+        poisson=poisson,
+        density=density,
+        fixed=fixed,
+        motion=motion,
+        clamped_edges=clamped,
+        gravity=np.array(scene.loads.gravity, dtype=float),
+        pressure=float(scene.loads.pressure),
+        force=_forces(scene, surface, loops),
+        moment=_moments(scene, surface, topology, loops),
+        topology=topology,
+    )
+    if surface.stitches is not None:
+        s = surface.stitches
+        shell.slave, shell.first, shell.second, shell.weight = s.slave, s.first, s.second, s.weight
+    check_supports(shell)
+    return Model(shell, surface, rest, list(surface.notes))
+
+
+def _fabric(scene: Scene, surface: Surface) -> tuple[np.ndarray, ...]:
+    """Per triangle thickness, young, poisson, density: [shell]'s, overridden by [[fabric]] per group."""
+    names = ("thickness", "young", "poisson", "density")
+    values = [np.full(len(surface.triangles), float(getattr(scene.shell, name))) for name in names]
+    for k, fabric in enumerate(scene.fabric):
+        if fabric.group not in surface.group_names:
+            raise InputError(
+                f"{scene.path}: fabric.{k}.group = {fabric.group!r} is not a group of {surface.source}; "
+                f"there are: {', '.join(surface.group_names) or 'none'}"
+            )
+        chosen = surface.group == surface.group_names.index(fabric.group)
+        for value, name in zip(values, names, strict=True):
+            if getattr(fabric, name) is not None:
+                value[chosen] = getattr(fabric, name)
+    return tuple(values)
+
+
+def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]):
+    """Fixed axes (n, 3), motion (n, 3), clamped edges."""
+    n = len(surface.points)
+    fixed, motion = np.zeros((n, 3), dtype=bool), np.zeros((n, 3))
+    clamped = np.zeros(len(topology.edges), dtype=bool)
+    for k, fix in enumerate(scene.fix):
+        where = f"{scene.path}: fix.{k}.select"
+        vertices = select(surface, loops, fix.select, where)
+        axes = ["xyz".index(a) for a in fix.axes]
+        move = np.zeros(3) if fix.move is None else np.array(fix.move.displacement, dtype=float)
+        for axis in axes:
+            again = vertices[fixed[vertices, axis] & (motion[vertices, axis] != move[axis])]
+            if len(again):
+                raise InputError(f"{where}: vertex {again[0]} is moved differently along {'xyz'[axis]} by another fix")
+            fixed[vertices, axis] = True
+            motion[vertices, axis] = move[axis]
+        if fix.clamp:
+            inside = np.zeros(n, dtype=bool)
+            inside[vertices] = True
+            edges = inside[topology.edges].all(axis=1)
+            if not edges.any():
+                raise InputError(f"{where}: clamp = true needs at least one edge with both ends selected")
+            clamped |= edges
+    return fixed, motion, np.flatnonzero(clamped).astype(np.int32)
+
+
+def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarray | None:
+    """(n, 3) dead forces; a total is shared evenly over its selection."""
+    if not scene.loads.force:
+        return None
+    total = np.zeros((len(surface.points), 3))
+    for k, force in enumerate(scene.loads.force):
+        vertices = select(surface, loops, force.select, f"{scene.path}: loads.force.{k}.select")
+        total[vertices] += np.array(force.value, dtype=float) / len(vertices)
+    return total
+
+
+def _moments(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]) -> np.ndarray | None:
+    """(3m,) moments per boundary half edge; a total is shared by length over the selection's boundary edges."""
+    if not scene.loads.moment:
+        return None
+    total = np.zeros(topology.across.size)
+    for k, moment in enumerate(scene.loads.moment):
+        where = f"{scene.path}: loads.moment.{k}.select"
+        inside = np.zeros(len(surface.points), dtype=bool)
+        inside[select(surface, loops, moment.select, where)] = True
+        edge = topology.triangle_edges.ravel()
+        rim = (topology.across.ravel() < 0) & inside[topology.edges[edge]].all(axis=1)
+        if not rim.any():
+            raise InputError(f"{where}: no boundary edge has both ends selected")
+        ends = surface.points[topology.edges[edge[rim]]]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        total[rim] += moment.value * length / length.sum()
+    return total
+
+
+def weight(shell: Shell) -> float:
+    """Mass of the shell (kg)."""
+    return float(shell.density * shell.thickness @ triangle_areas(shell.rest_points, shell.rest_triangles))
