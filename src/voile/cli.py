@@ -182,11 +182,12 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
 
     from voile.problem.discrete import Problem
     from voile.results import ResultWriter, StaticMesh
+    from voile.solver.sewing import sew
     from voile.solver.statics import StaticsOptions, solve_statics
 
     s = scene.statics
     options = StaticsOptions(s.load_steps, s.max_steps, s.perturbation, s.tolerance, s.stability, s.eigenvalue)
-    shell = model.shell if model else None
+    shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
     part = problem.part
     mesh = None

@@ -52,12 +52,15 @@ def build_model(scene: Scene) -> Model:
         force=_forces(scene, surface, loops),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
+        **_seams(surface),
     )
-    if surface.stitches is not None:
-        s = surface.stitches
-        shell.slave, shell.first, shell.second, shell.weight = s.slave, s.first, s.second, s.weight
     check_supports(shell)
     return Model(shell, surface, rest, list(surface.notes))
+
+
+def _seams(surface: Surface) -> dict[str, np.ndarray]:
+    s = surface.stitches
+    return {} if s is None else {"slave": s.slave, "first": s.first, "second": s.second, "weight": s.weight}
 
 
 def _fabric(scene: Scene, surface: Surface) -> tuple[np.ndarray, ...]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.shell import Shell
@@ -33,8 +34,9 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
     fixed_base = (touches.T @ shell.fixed.astype(float)) > 0.0
     share = sewing.T @ shell.fixed.astype(float)
     motion = (sewing.T @ (shell.motion * shell.fixed)) / np.where(share > 0.0, share, 1.0) * fixed_base
-    home = _home(sewing, base, shell.points, fixed_base)
-    gap = (sewing @ home - shell.points).ravel() if len(shell.slave) else np.zeros(3 * n)
+    gap = np.zeros(3 * n)
+    if len(shell.slave):
+        gap = (_closing(shell, sewing, fixed_base) if shell.closing is None else shell.closing).ravel()
     column = (3 * base[:, None] + np.arange(3)).ravel()
     place = sp.csr_matrix((np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n))
     keep = sp.diags((~fixed_base).ravel().astype(float))
@@ -62,9 +64,31 @@ def _sewing(shell: Shell) -> tuple[sp.csr_matrix, np.ndarray]:
     return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
 
 
-def _home(sewing: sp.csr_matrix, base: np.ndarray, points: np.ndarray, fixed_base: np.ndarray) -> np.ndarray:
-    """Where the base vertices start: vertices joined to one meet half way, unless supported."""
+def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: np.ndarray) -> np.ndarray:
+    """(n, 3) displacement that closes the seams of the start shape: among all that do, the one of least
+    sum over edges of |u_i - u_j|^2 (uniform weights keep thin triangles from turning over)."""
+    i, j = shell.topology.edges.T
+    n = len(shell.points)
+    adjacency = sp.csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
+    adjacency = adjacency + adjacency.T
+    laplacian = sp.diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency
+    system = (sewing.T @ laplacian @ sewing).tocsc()
+    right = sewing.T @ (laplacian @ shell.points)
+    home = np.zeros(right.shape)
+    for axis in range(3):
+        free = ~fixed_base[:, axis]
+        start = _means(sewing, shell.points[:, axis])
+        held = np.where(free, 0.0, start)
+        load = right[:, axis] - system @ held
+        # A piece without supports keeps its place through a faint pull towards where it starts.
+        pull = 1e-9 * sp.identity(int(free.sum()), format="csc")
+        home[:, axis] = held
+        home[free, axis] = spsolve(system[free][:, free] + pull, load[free] + 1e-9 * start[free])
+    return sewing @ home - shell.points
+
+
+def _means(sewing: sp.csr_matrix, x: np.ndarray) -> np.ndarray:
+    """Mean of x over the vertices joined to each base vertex."""
     joined = sewing.copy()
     joined.data = (joined.data == 1.0).astype(float)
-    mean = (joined.T @ points) / np.asarray(joined.sum(axis=0)).T
-    return np.where(fixed_base, points[base], mean)
+    return (joined.T @ x) / np.asarray(joined.sum(axis=0)).ravel()

@@ -1,9 +1,10 @@
 """What a shell problem is, as arrays: shape, rest shape, fabric, supports, seams, loads. Only rank 0 holds one."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
 
 
@@ -21,6 +22,7 @@ class Shell:
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
     weight x_second. Loads at load factor 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
     """
 
     points: np.ndarray
@@ -44,11 +46,25 @@ class Shell:
     pressure: float = 0.0
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
+    closing: np.ndarray | None = None
     topology: Topology | None = None
 
     def __post_init__(self) -> None:
         if self.topology is None:
             self.topology = build_topology(self.triangles)
+        if len(self.slave):
+            self.topology = _without_pockets(self)
+
+
+def _without_pockets(shell: Shell) -> Topology:
+    """The topology with hinges opened whose two opposite vertices are sewn together (the tip of a dart): they stay
+    folded flat whatever the shape, so they carry no bending."""
+    topology = shell.topology
+    label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(shell.points))
+    across = topology.across.ravel()
+    opposite = shell.triangles.ravel()
+    closed = (across >= 0) & (label[opposite] == label[opposite[np.maximum(across, 0)]])
+    return replace(topology, across=np.where(closed, -1, across).astype(np.int32).reshape(topology.across.shape))
 
 
 def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

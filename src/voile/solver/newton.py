@@ -54,6 +54,7 @@ class Newton:
 
     mixed_limit = 15  # iterations of the fast steps
     descend = True  # False: fast steps only
+    least_shift = 0.0  # 1/s^2 of mass always added (an unsupported shell)
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -187,11 +188,12 @@ class Newton:
         """Assembles and factors; False if that fails or the matrix is not positive definite."""
         matrix = snes.getJacobian()[0]
         self.problem.tangent(y, matrix, kind)
-        if self.shift > 0.0:
+        shift = max(self.shift, self.least_shift)
+        if shift > 0.0:
             if self._mass is None:
                 self._mass = self.problem.mass()
             shifted = self._mass.copy()
-            shifted.scale(self.shift)
+            shifted.scale(shift)
             matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
         ksp = snes.ksp
         ksp.setOperators(matrix)

@@ -1,0 +1,77 @@
+"""Closing the seams of panels that start apart, before supports and loads act."""
+
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
+from voile.solver.newton import Newton
+from voile.solver.statics import create_snes
+
+MODEL = "discrete-shells//"  # finite at any fold and stiffer the sharper it is, no edge unknowns
+STIFFENING = 10.0  # of the thickness at equal stretching stiffness: seams close in smooth folds
+LOOK_BACK, SETTLED = 5, 0.02  # done when the energy fell by less than this fraction in so many steps
+MOST_STEPS = 60
+
+
+def gap(shell: Shell) -> float:
+    """Largest distance of the start shape's seams (m)."""
+    if not len(shell.slave):
+        return 0.0
+    x, w = shell.points, shell.weight[:, None]
+    return float(np.linalg.norm(x[shell.slave] - (1 - w) * x[shell.first] - w * x[shell.second], axis=1).max())
+
+
+def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
+    """The shell of rank 0 with the displacement that sews it as `closing`; unchanged if its seams are closed.
+
+    The panels are drawn together smoothly and then relaxed, free of supports and loads, until their elastic energy
+    settles; supports later hold their vertices where these have come to be. A start for statics, not an equilibrium.
+    """
+    open_seams = comm.bcast(gap(shell) > 1e-9 * np.ptp(shell.points, axis=0).max() if shell else None)
+    if not open_seams:
+        return shell
+    loose = None
+    if shell is not None:
+        loose = replace(
+            shell,
+            model=MODEL,
+            thickness=STIFFENING * shell.thickness,
+            young=shell.young / STIFFENING,
+            density=shell.density / STIFFENING,
+            fixed=np.zeros_like(shell.fixed),
+            motion=np.zeros_like(shell.motion),
+            clamped_edges=np.zeros(0, dtype=np.int32),
+            gravity=np.zeros(3),
+            pressure=0.0,
+            force=None,
+            moment=None,
+        )
+    problem = Problem(loose, comm)
+    snes, newton = create_snes(problem, problem.create_matrix())
+    newton.least_shift = problem.slow_rate()
+    snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=MOST_STEPS)
+    snes.setConvergenceTest(lambda _snes, _it, _norms: _settled(newton))
+    y = problem.create_vector()
+    snes.solve(None, y)
+    u, _ = problem.local(y)
+    snes.destroy()
+    own = problem.part.owned_vertices
+    pieces = comm.gather((problem.part.vertex[own], u.reshape(-1, 3)[own]))
+    if shell is None:
+        return None
+    closing = np.zeros_like(shell.points)
+    for index, displacement in pieces:
+        closing[index] = displacement
+    return replace(shell, closing=closing)
+
+
+def _settled(newton: Newton) -> int:
+    steps = newton.steps
+    if len(steps) <= LOOK_BACK:
+        return 0
+    before, now = steps[-1 - LOOK_BACK].energy, steps[-1].energy
+    return PETSc.SNES.ConvergedReason.CONVERGED_ITS if before - now < SETTLED * abs(now) else 0
