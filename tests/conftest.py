@@ -1,0 +1,61 @@
+"""Fixtures for parallel tests and for the data kept beside the checkout."""
+
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+# What an MPI process tells its children: with it, an mpirun started from here takes itself for one of the parent's
+# ranks and fails without a message (importing mpi4py or petsc4py in a test makes pytest such a process).
+MPI_PREFIXES = ("OMPI_", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")
+
+MpiRun = Callable[[int, Sequence[str], float], subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def launcher() -> list[str]:
+    """mpirun with the flags that containers and few cores need."""
+    program = shutil.which("mpirun")
+    assert program, "mpirun is not on the PATH; scripts/setup installs it"
+    version = subprocess.run([program, "--version"], capture_output=True, text=True).stdout
+    return [program, "--allow-run-as-root", "--oversubscribe"] if "Open MPI" in version else [program]
+
+
+@pytest.fixture
+def mpirun(launcher: list[str]) -> MpiRun:
+    """mpirun(ranks, args, timeout): runs args on that many ranks and returns the completed process (text output)."""
+
+    def run(ranks: int, args: Sequence[str], timeout: float) -> subprocess.CompletedProcess[str]:
+        env = {k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)}
+        env["OPENBLAS_NUM_THREADS"] = "1"
+        env["OMPI_MCA_btl_vader_single_copy_mechanism"] = "none"  # containers forbid reading another process
+        command = [*launcher, "-n", str(ranks), *map(str, args)]
+        with subprocess.Popen(
+            command,
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            try:
+                out, err = process.communicate(timeout=timeout)
+            except BaseException:
+                os.killpg(process.pid, signal.SIGKILL)  # the ranks too
+                raise
+        return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of garments, references and friction problems beside the checkout; skips the test without it."""
+    folder = Path(__file__).parents[1].parent / "shared"
+    if not folder.is_dir():
+        pytest.skip(f"needs the data folder {folder}, which is not part of the project")
+    return folder

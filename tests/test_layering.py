@@ -1,0 +1,105 @@
+"""The rules on which package may import which, and on the length of files."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "voile"
+MAX_LINES = 400
+
+# Package or module of voile -> what of voile it may import beside itself and voile.errors.
+ALLOWED = {
+    "errors": set(),
+    "scene": set(),
+    "mesh": set(),
+    "elastic": {"_kernels", "mesh"},
+    "contact": {"_kernels", "mesh"},
+    "problem": {"_kernels", "_petsc", "mesh", "elastic", "contact"},
+    "solver": {"_kernels", "mesh", "elastic", "contact", "problem"},
+    "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
+    "results": {"mesh"},
+    "post": {"results"},
+}
+# The command line and its helpers, the only ones that see everything.
+TOP = {"cli", "explain", "wiring"}
+PETSC = {"problem", "solver", "inverse"} | TOP
+
+
+def imports(tree: ast.Module, package: str) -> set[str]:
+    """Dotted names that a module of the given package imports, also inside functions; `from a import b` as a.b."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*parents, base] if base else parents)
+            names |= {f"{base}.{alias.name}" for alias in node.names}
+    return names
+
+
+def faults(unit: str, names: set[str]) -> list[str]:
+    """What a module of voile.<unit> imports against the rules; `unit` is a key of ALLOWED or in TOP."""
+    found = []
+    for name in sorted(names):
+        root, _, rest = name.partition(".")
+        part = rest.partition(".")[0]
+        if root in ("petsc4py", "slepc4py") and unit not in PETSC:
+            found.append(f"{unit} imports {root}")
+        if root == "voile" and unit not in TOP and part not in ALLOWED[unit] | {unit, "errors"}:
+            found.append(f"{unit} imports voile.{part}")
+    return found
+
+
+def modules() -> list[Path]:
+    return sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_go_one_way(path):
+    inside = path.relative_to(SOURCE)
+    unit = inside.parts[0].removesuffix(".py")
+    assert unit in ALLOWED.keys() | TOP, f"voile.{unit} has no place in the layers: name it in ALLOWED or TOP"
+    package = ".".join(("voile", *inside.parent.parts))
+    assert not faults(unit, imports(ast.parse(path.read_text()), package))
+
+
+@pytest.mark.parametrize(
+    ("unit", "text", "fault"),
+    [
+        ("mesh", "from voile.elastic import evaluate", "mesh imports voile.elastic"),
+        ("elastic", "import voile.contact.law", "elastic imports voile.contact"),
+        ("contact", "from voile import elastic", "contact imports voile.elastic"),
+        ("contact", "def f():\n    from petsc4py import PETSc", "contact imports petsc4py"),
+        ("problem", "from voile.scene import Scene", "problem imports voile.scene"),
+        ("solver", "from ..results import ResultWriter", "solver imports voile.results"),
+        ("post", "from voile import mesh", "post imports voile.mesh"),
+        ("results", "import slepc4py", "results imports slepc4py"),
+        (
+            "problem",
+            "from ..elastic import evaluate\nfrom .shell import Shell\nfrom voile.errors import InputError",
+            None,
+        ),
+        ("cli", "import petsc4py\nfrom voile.scene import read_scene", None),
+    ],
+)
+def test_the_rules_catch_what_they_forbid(unit, text, fault):
+    found = faults(unit, imports(ast.parse(text), "voile" if unit in TOP else f"voile.{unit}"))
+    assert found == ([fault] if fault else [])
+
+
+def test_files_stay_short():
+    files = [
+        p
+        for folder in ("src", "tests", "scripts", "meshes")
+        for p in (ROOT / folder).rglob("*")
+        if p.is_file()
+    ]
+    texts = [p for p in files if p.suffix in {".py", ".cpp", ".hpp"} or p.parent.name == "scripts"]
+    assert len(texts) > 30
+    lengths = {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for p in texts}
+    assert {name: n for name, n in lengths.items() if n > MAX_LINES} == {}
