@@ -1,0 +1,300 @@
+"""Every key of a scene file: kind, unit, range, default and meaning, in one place. SI units throughout.
+
+A table of the file is a frozen dataclass; a key is a field, declared by `key(kind, meaning, default=...)`.
+"""
+
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Any, ClassVar
+
+from voile.scene.kinds import (
+    Array,
+    Axes,
+    Boolean,
+    Box,
+    Choice,
+    File,
+    Integer,
+    Number,
+    Rejected,
+    Selection,
+    Text,
+    Vector3,
+    vector,
+)
+from voile.scene.table import Table, Tables, key
+
+SELECT = Selection(
+    {
+        "nodes": Array(Integer(), least=1, lone=True),
+        "group": Array(Text(filled=True), least=1, lone=True),
+        "box": Box(),
+        "boundary": Array(Integer(), least=1, lone=True),
+        "all": Boolean(only_true=True),
+    }
+)
+_SELECT_MEANING = (
+    "vertices: nodes (indices in the mesh file, from 0), group, box [[min], [max]] in m, boundary "
+    "(index of the loop, 0 the longest), all = true; several keys select what satisfies them all"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heading:
+    name: str = key(Text(), "title of the scene", default="")
+    task: str = key(Choice("statics", "dynamics", "inverse", "modes"), "what to compute", default="statics")
+
+
+THICKNESS = Number("m", above=0)
+YOUNG = Number("Pa", above=0)
+POISSON = Number(above=-1, below=0.5)
+DENSITY = Number("kg/m^3", above=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shell:
+    mesh: Path = key(File(), "shape at the start (with task = inverse the target)")
+    rest: Path | str | None = key(
+        File(("flat",)),
+        'rest shape with the same triangles; "flat": the mesh\'s texture coordinates; default: mesh',
+        default=None,
+    )
+    scale: float = key(Number("m", above=0), "metres per unit of the mesh files", default=1.0)
+    model: str = key(
+        Choice("koiter", "discrete-shells", "membrane", "projective"), "elastic model", default="koiter"
+    )
+    bending: str = key(
+        Choice("average", "sin", "tan", "theta"), "mid-edge normals of the Koiter model", default="tan"
+    )
+    material: str = key(Choice("stvk", "neo-hookean", "tension-field"), "material law", default="stvk")
+    young: float = key(YOUNG, "Young's modulus")
+    poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
+    thickness: float = key(THICKNESS, "thickness")
+    density: float = key(DENSITY, "mass density")
+    seams: bool = key(Boolean(), "sew the mesh's stitch records", default=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fabric:
+    group: str = key(Text(filled=True), "group of the mesh made of this fabric")
+    young: float | None = key(YOUNG, "Young's modulus; default: the shell's", default=None)
+    poisson: float | None = key(POISSON, "Poisson's ratio; default: the shell's", default=None)
+    thickness: float | None = key(THICKNESS, "thickness; default: the shell's", default=None)
+    density: float | None = key(DENSITY, "mass density; default: the shell's", default=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Force:
+    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
+    value: Vector3 = key(vector("N"), "dead force, total, shared evenly over the selection")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
+    value: float = key(Number("N m"), "moment about the selection's boundary edges, total, shared by length")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loads:
+    gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
+    pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
+    force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
+    moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Move:
+    displacement: Vector3 = key(vector("m"), "displacement reached at the end of the load path")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fix:
+    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
+    axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
+    clamp: bool = key(Boolean(), "also hold the directors: no rotation", default=True)
+    move: Move | None = key(Table(Move), "prescribed motion along the held axes", default=None)
+
+    def check(self, given: set[str]) -> None:
+        for axis, part in zip("xyz", self.move.displacement if self.move else (), strict=False):
+            if part != 0.0 and axis not in self.axes:
+                raise Rejected(
+                    f'{part:g} m along {axis}, but axes = "{self.axes}" leaves {axis} free; '
+                    "allowed: motion along the held axes",
+                    ("move", "displacement"),
+                )
+
+
+_SHAPES = {
+    "plane": ("point", "normal"),
+    "sphere": ("center", "radius"),
+    "cylinder": ("center", "axis", "radius"),
+    "capsule": ("a", "b", "radius"),
+    "cone": ("apex", "axis", "half_angle"),
+    "torus": ("center", "axis", "radius", "tube"),
+    "ellipsoid": ("center", "radii"),
+    "mesh": ("file",),
+}
+_MESH_ONLY = ("scale", "translate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obstacle:
+    shape: str = key(Choice(*_SHAPES), "shape; the keys of its geometry are required: see the other keys")
+    friction: float = key(Number(least=0), "Coulomb's coefficient of friction", default=0.0)
+    move: Move | None = key(Table(Move), "prescribed motion", default=None)
+    point: Vector3 | None = key(vector("m"), "plane: a point of it", default=None)
+    normal: Vector3 | None = key(vector(nonzero=True), "plane: outward direction, any length", default=None)
+    center: Vector3 | None = key(vector("m"), "sphere, cylinder, torus, ellipsoid: centre", default=None)
+    axis: Vector3 | None = key(
+        vector(nonzero=True), "cylinder, cone, torus: direction of the axis, any length", default=None
+    )
+    radius: float | None = key(
+        Number("m", above=0), "sphere, cylinder, capsule: radius; torus: of its centre line", default=None
+    )
+    a: Vector3 | None = key(vector("m"), "capsule: one end of its centre line", default=None)
+    b: Vector3 | None = key(vector("m"), "capsule: other end of its centre line", default=None)
+    apex: Vector3 | None = key(vector("m"), "cone: apex", default=None)
+    half_angle: float | None = key(
+        Number("rad", above=0, below=pi / 2), "cone: angle between axis and surface", default=None
+    )
+    tube: float | None = key(Number("m", above=0), "torus: radius of the tube, below radius", default=None)
+    radii: Vector3 | None = key(vector("m", above=0), "ellipsoid: half axes along x, y, z", default=None)
+    file: Path | None = key(File(), "mesh: closed triangle mesh", default=None)
+    scale: float = key(Number("m", above=0), "mesh: metres per unit of the file", default=1.0)
+    translate: Vector3 = key(vector("m"), "mesh: shift after scaling", default=(0.0, 0.0, 0.0))
+
+    SCHEMA: ClassVar[dict[str, Any]] = {
+        "allOf": [
+            {"if": {"properties": {"shape": {"const": shape}}}, "then": {"required": list(names)}}
+            for shape, names in _SHAPES.items()
+        ]
+    }
+
+    def check(self, given: set[str]) -> None:
+        needed = _SHAPES[self.shape]
+        geometry = {*_MESH_ONLY, *(name for names in _SHAPES.values() for name in names)}
+        own = {*needed, *(_MESH_ONLY if self.shape == "mesh" else ())}
+        for name in sorted(given & geometry - own):
+            raise Rejected(f'not a key of shape = "{self.shape}"; allowed: {", ".join(sorted(own))}', (name,))
+        for name in needed:
+            if name not in given:
+                raise Rejected(
+                    f'the key "{name}" is missing; shape = "{self.shape}" needs {", ".join(needed)}'
+                )
+        if self.shape == "capsule" and self.a == self.b:
+            raise Rejected("equals a; allowed: another point (equal ends make a sphere)", ("b",))
+        if self.tube is not None and self.radius is not None and self.tube >= self.radius:
+            raise Rejected(f"{self.tube:g}; allowed: below radius = {self.radius:g}", ("tube",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    offset: float | None = key(
+        Number("m", least=0),
+        "distance from the mid-surface to the surface that touches; default: half the thickness",
+        default=None,
+    )
+    self_contact: bool = key(Boolean(), "contact of the shell with itself", default=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statics:
+    load_steps: int = key(Integer(1), "first load step is 1/load_steps; adaptive from there", default=10)
+    max_steps: int = key(Integer(1), "load steps tried in all", default=1000)
+    perturbation: float = key(Number(least=0), "off unstable branches, in thicknesses", default=1.0)
+    tolerance: float = key(
+        Number(above=0, below=1), "norm of the residual over the norm of the load", default=1e-8
+    )
+    stability: bool = key(Boolean(), "test whether the end state is stable", default=True)
+    eigenvalue: bool = key(Boolean(), "also its smallest eigenvalue", default=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dynamics:
+    scheme: str = key(
+        Choice("implicit-euler", "bdf2", "generalized-alpha", "projective"),
+        "time scheme",
+        default="implicit-euler",
+    )
+    time_step: float = key(Number("s", above=0), "time step", default=0.01)
+    duration: float = key(Number("s", above=0), "simulated time", default=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse:
+    friction: bool = key(
+        Boolean(), "reactions in the Coulomb cones; false: along the normal only", default=True
+    )
+    method: str = key(Choice("adjoint", "direct"), "inverse method", default="adjoint")
+    contact_tolerance: float = key(
+        Number("m", above=0),
+        "target vertices nearer than this to an obstacle may carry a reaction",
+        default=0.001,
+    )
+    developable: bool | str = key(
+        Choice(False, "constraint", "panels"), "whether and how the rest shape is developable", default=False
+    )
+    estimate: tuple[str, ...] = key(
+        Array(Choice("thickness", "young", "poisson", "density")), "parameters to estimate too", default=()
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    every: int = key(Integer(1), "write every so many steps; the last one always", default=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A whole scene; `text` is the file's source with a comment line per override, `path` its path."""
+
+    scene: Heading = key(Table(Heading), "the task", default=Heading())
+    shell: Shell = key(Table(Shell), "the shell")
+    fabric: tuple[Fabric, ...] = key(Tables(Fabric), "other fabrics, by group of the mesh", default=())
+    loads: Loads = key(Table(Loads), "loads", default=Loads())
+    fix: tuple[Fix, ...] = key(Tables(Fix), "supports", default=())
+    obstacle: tuple[Obstacle, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
+    contact: Contact = key(Table(Contact), "contact", default=Contact())
+    statics: Statics = key(Table(Statics), "task = statics", default=Statics())
+    dynamics: Dynamics = key(Table(Dynamics), "task = dynamics", default=Dynamics())
+    inverse: Inverse = key(Table(Inverse), "task = inverse", default=Inverse())
+    output: Output = key(Table(Output), "results", default=Output())
+    text: str = ""
+    path: Path = Path()
+
+    def check(self, given: set[str]) -> None:
+        groups = [fabric.group for fabric in self.fabric]
+        for index, group in enumerate(groups):
+            if group in groups[:index]:
+                raise Rejected(
+                    f'"{group}" has a [[fabric]] already; allowed: one per group', ("fabric", index, "group")
+                )
+
+
+def homes(name: str) -> list[str]:
+    """The tables, as headed in the file, that have a key of this name."""
+    found = []
+    for table, kind in Table(Scene).keys.items():
+        inner = kind.table if isinstance(kind, Tables) else kind
+        if isinstance(inner, Table) and name in inner.keys:
+            found.append(f"[[{table}]]" if isinstance(kind, Tables) else f"[{table}]")
+    return found
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of the scene file."""
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Voile scene"}
+    return head | Table(Scene).schema()
+
+
+def unsupported(scene: Scene) -> list[str]:
+    """What the scene asks for that this version cannot compute yet, by key; empty when it can be run."""
+    asked = {
+        f'scene.task = "{scene.scene.task}"': scene.scene.task != "statics",
+        f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
+        "[[obstacle]]": bool(scene.obstacle),
+        "contact.self_contact = true": scene.contact.self_contact,
+    }
+    return [what for what, used in asked.items() if used]
