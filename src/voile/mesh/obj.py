@@ -121,7 +121,7 @@ def _parse(tokens: list[bytes], dtype: type) -> np.ndarray | None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
-            values = np.fromstring(b" ".join(tokens), dtype=dtype, sep=" ")
+            values: np.ndarray = np.fromstring(b" ".join(tokens), dtype=dtype, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
     return values if len(values) == len(tokens) else None
@@ -142,10 +142,10 @@ def _corners(path: Path, records: _Records) -> tuple[np.ndarray, np.ndarray, np.
         where = np.flatnonzero(slashes == form)
         text = b" ".join(tokens if len(where) == len(tokens) else [tokens[i] for i in where])
         pieces = text.replace(b"//", b"/%d/" % _ABSENT).replace(b"/", b" ").split()
-        values = _parse(pieces, np.int64) if form <= 2 else None
-        if values is None or len(values) != len(where) * (form + 1):
+        indices = _parse(pieces, np.int64) if form <= 2 else None
+        if indices is None or len(indices) != len(where) * (form + 1):
             break
-        corners[where, : min(2, form + 1)] = values.reshape(len(where), form + 1)[:, :2]
+        corners[where, : min(2, form + 1)] = indices.reshape(len(where), form + 1)[:, :2]
     else:
         return corners, counts, lines
     for number, row in _lines(records, b"f"):
