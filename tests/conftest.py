@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-# What an MPI process tells its children: with it, an mpirun started from here takes itself for one of the parent's
-# ranks and fails without a message (importing mpi4py or petsc4py in a test makes pytest such a process).
+# What an MPI process tells its children: with it, an mpirun started from here takes itself for one of the
+# parent's ranks and fails without a message (a test that imports mpi4py makes pytest such a process).
 MPI_PREFIXES = ("OMPI_", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")
 
 MpiRun = Callable[[int, Sequence[str], float], subprocess.CompletedProcess[str]]
@@ -27,7 +27,7 @@ def launcher() -> list[str]:
 
 @pytest.fixture
 def mpirun(launcher: list[str]) -> MpiRun:
-    """mpirun(ranks, args, timeout): runs args on that many ranks and returns the completed process (text output)."""
+    """mpirun(ranks, args, timeout): runs args on that many ranks, returns the completed process (text)."""
 
     def run(ranks: int, args: Sequence[str], timeout: float) -> subprocess.CompletedProcess[str]:
         env = {k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)}
@@ -54,7 +54,7 @@ def mpirun(launcher: list[str]) -> MpiRun:
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of garments, references and friction problems beside the checkout; skips the test without it."""
+    """The folder of garments and reference values beside the checkout; skips the test without it."""
     folder = Path(__file__).parents[1].parent / "shared"
     if not folder.is_dir():
         pytest.skip(f"needs the data folder {folder}, which is not part of the project")

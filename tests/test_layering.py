@@ -28,7 +28,7 @@ PETSC = {"problem", "solver", "inverse"} | TOP
 
 
 def imports(tree: ast.Module, package: str) -> set[str]:
-    """Dotted names that a module of the given package imports, also inside functions; `from a import b` as a.b."""
+    """Dotted names imported by a module of the given package, also in functions; `from a import b` as a.b."""
     names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
