@@ -232,7 +232,7 @@ class Array:
             try:
                 return self.item.read(value)
             except Rejected:
-                raise wrong_type(value, self) from None
+                raise _not_allowed(value, self) from None
         if not isinstance(value, list):
             raise wrong_type(value, self)
         if len(value) != (self.length or len(value)) or len(value) < self.least:
@@ -289,7 +289,7 @@ class Box:
 
 
 class Selection:
-    """A table that selects vertices by all of its keys at once; it stays a dict."""
+    """A table that selects vertices by all of its keys at once; checked, and kept as it is."""
 
     def __init__(self, keys: dict[str, Kind]):
         self.keys = keys
@@ -299,7 +299,9 @@ class Selection:
             raise wrong_type(value, self)
         if not value:
             raise _not_allowed(value, self)
-        return {name: read_key(self.keys, name, entry) for name, entry in value.items()}
+        for name, entry in value.items():
+            read_key(self.keys, name, entry)
+        return value
 
     def allowed(self) -> str:
         return f"a table with one or more of the keys {', '.join(self.keys)}"

@@ -40,10 +40,7 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
         if error.unknown and (tables := homes(str(error.path[-1]))):
             problem += f" (it belongs in {' or '.join(tables)})"
         place = next((places[at] for at in _prefixes(error.path) if at in places), str(path))
-        name = ".".join(map(str, error.path))
-        raise InputError(
-            f"{place}: {name}: {error.problem}" if name else f"{place}: {error.problem}"
-        ) from None
+        raise InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}") from None
     if overrides and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"# --set {' '.join(override.split())}\n" for override in overrides)
