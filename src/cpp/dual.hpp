@@ -100,11 +100,12 @@ inline Dual<T, N> sqrt(const Dual<T, N>& a) {
 }
 
 template <class T, int N>
-inline Dual<T, N> log(const Dual<T, N>& a) {
-  return chain(a, log(a.v), T(T(1.0) / a.v));
+inline Dual<T, N> log1p(const Dual<T, N>& a) {
+  return chain(a, log1p(a.v), T(T(1.0) / (a.v + T(1.0))));
 }
 
-// The angle whose sine and cosine are s and c (not necessarily normalised); derivative (c ds - s dc)/(s^2+c^2).
+// The angle whose sine and cosine are s and c (not necessarily normalised); derivative (c ds - s
+// dc)/(s^2+c^2).
 template <class T, int N>
 inline Dual<T, N> angle(const Dual<T, N>& s, const Dual<T, N>& c) {
   Dual<T, N> r;

@@ -112,9 +112,9 @@ struct StVK {
 
 struct NeoHookean {
   template <class T>
-  static T stretching(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
+  static T stretching(const Sym2<T>&, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
     T trace = inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c;  // tr(A_rest^-1 A) - 2
-    T log_j = 0.5 * log(a.det() * inverse.det());
+    T log_j = 0.5 * log1p(trace + inverse.det() * da.det());                   // J^2 = det(1 + A_rest^-1 dA)
     return 0.5 * (f.thickness * (lame_mu(f) * (trace - 2.0 * log_j) + lame_lambda(f) * log_j * log_j));
   }
   template <class T>
@@ -126,14 +126,15 @@ struct NeoHookean {
     T m21 = i.b * b.a + i.c * b.b - inverse.b * b_rest.a - inverse.c * b_rest.b;
     T m22 = i.b * b.b + i.c * b.c - inverse.b * b_rest.b - inverse.c * b_rest.c;
     T trace = m11 + m22, cube = f.thickness * f.thickness * f.thickness;
-    T norm = 0.5 * (lame_lambda(f) * trace * trace) + lame_mu(f) * (m11 * m11 + 2.0 * (m12 * m21) + m22 * m22);
+    T norm =
+        0.5 * (lame_lambda(f) * trace * trace) + lame_mu(f) * (m11 * m11 + 2.0 * (m12 * m21) + m22 * m22);
     return (1.0 / 12.0) * (cube * norm);
   }
 };
 
 // Relaxed St. Venant-Kirchhoff (tension field: Pipkin 1986, Steigmann 1990): with principal Green strains
-// e1 >= e2, taut where e2 >= -nu e1 (both stresses tensile), wrinkled (uniaxial, E h e1^2/2) where only e1 > 0,
-// slack (zero) where e1 <= 0.
+// e1 >= e2, taut where e2 >= -nu e1 (both stresses tensile), wrinkled (uniaxial, E h e1^2/2) where only e1 >
+// 0, slack (zero) where e1 <= 0.
 struct TensionField {
   template <class T>
   static T stretching(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
@@ -177,21 +178,23 @@ struct Membrane {
 
 template <class Bending, class Material>
 struct Koiter {
-  static constexpr bool bends = true, directors = Bending::directors, quadratic = std::is_same_v<Material, StVK>;
+  static constexpr bool bends = true, directors = Bending::directors,
+                        quadratic = std::is_same_v<Material, StVK>;
   using Fibre = Bending;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
     Sym2<T> a = first_form(q.l), rest = first_form(r.l), inverse = rest.inverse();
     T det = rest.det(), area = 0.5 * sqrt(det);
     T stretching = Material::stretching(a, first_form(dl), inverse, f);
-    T bending = Material::bending(a, second_form<Bending>(q, a.det()), inverse, second_form<Bending>(r, det), f);
+    T bending =
+        Material::bending(a, second_form<Bending>(q, a.det()), inverse, second_form<Bending>(r, det), f);
     return {area * stretching, area * bending};
   }
 };
 
-// Discrete Shells (Grinspun et al. 2003): lengths, area, hinge angles. The stiffnesses are those that give the
-// isotropic plate on an equilateral mesh: bending D/6 per hinge side |e|^2/altitude weight, lengths 4/3 mu,
-// area (lambda - mu)/2 (not negative: the hinge and spring terms alone have Poisson's ratio 1/3).
+// Discrete Shells (Grinspun et al. 2003): lengths, area, hinge angles. The stiffnesses are those that give
+// the isotropic plate on an equilateral mesh: bending D/6 per hinge side |e|^2/altitude weight, lengths 4/3
+// mu, area (lambda - mu)/2 (not negative: the hinge and spring terms alone have Poisson's ratio 1/3).
 struct DiscreteShells {
   static constexpr bool bends = true, directors = false, quadratic = false;
   using Fibre = Theta;

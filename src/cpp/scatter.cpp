@@ -108,6 +108,7 @@ void Scatter::bind(Rows inside_rows, Rows outside_rows, std::vector<int> ghost_c
   outside = outside_rows;
   ghost_column = std::move(ghost_columns);
   if (!position.empty()) return;  // the pattern is the same, only the values' address may have changed
+  order_rows();
   int m = count();
   // The fast path wants the three rows of a vertex alike; a constraint on some axes only may break that.
   auto alike = [](const Rows& rows, int row, int other) {
@@ -137,17 +138,53 @@ void Scatter::bind(Rows inside_rows, Rows outside_rows, std::vector<int> ghost_c
   }
 }
 
-void Scatter::clear() {
-  if (inside.start) std::memset(inside.value, 0, sizeof(double) * inside.start[owned]);
-  if (outside.start) std::memset(outside.value, 0, sizeof(double) * outside.start[owned]);
+// Runs of rows in the order of first touch; behind the last triangle's those that no triangle touches.
+void Scatter::order_rows() {
+  int m = count();
+  std::vector<char> touched(owned, 0);
+  std::vector<int> rows;
+  auto close = [&] {
+    std::sort(rows.begin(), rows.end());
+    for (size_t k = 0; k < rows.size(); ++k) {
+      if (k == 0 || rows[k] != rows[k - 1] + 1) fresh.insert(fresh.end(), {rows[k], rows[k]});
+      fresh.back() = rows[k] + 1;
+    }
+    rows.clear();
+    fresh_start.push_back((int)fresh.size());
+  };
+  fresh_start.assign(1, 0);
+  for (int t = 0; t < m; ++t) {
+    for (int k = 0; k < DOFS; ++k) {
+      int dof = triangle_dof(t, k);
+      for (int at = dof < 0 ? 0 : dof_start[dof]; dof >= 0 && at < dof_start[dof + 1]; ++at) {
+        int row = dof_unknown[at];
+        if (row >= owned || touched[row]) continue;
+        touched[row] = 1;
+        rows.push_back(row);
+      }
+    }
+    close();
+  }
+  for (int row = 0; row < owned; ++row)
+    if (!touched[row]) rows.push_back(row);
+  close();
 }
+
+void Scatter::zero(int begin, int end) {
+  for (const Rows& rows : {inside, outside})
+    if (rows.start)
+      std::memset(rows.value + rows.start[begin], 0, sizeof(double) * (rows.start[end] - rows.start[begin]));
+}
+
+void Scatter::clear() { open(count()); }
 
 void Scatter::add_expanded(int t, const double* block) {
   int dofs = nodes == NODES ? DOFS : 18;
   auto entry = [block](int i, int j) {
     int a = i < 18 ? i / 3 : i - 12, b = j < 18 ? j / 3 : j - 12;
     int r = i - node_dof(a), c = j - node_dof(b);
-    return a <= b ? block[BLOCKS.start[a][b] + r * node_size(b) + c] : block[BLOCKS.start[a][b] + c * node_size(a) + r];
+    return a <= b ? block[BLOCKS.start[a][b] + r * node_size(b) + c]
+                  : block[BLOCKS.start[a][b] + c * node_size(a) + r];
   };
   for (int i = 0; i < dofs; ++i) {
     int row_dof = triangle_dof(t, i);
@@ -161,7 +198,8 @@ void Scatter::add_expanded(int t, const double* block) {
         for (int q = dof_start[column_dof]; q < dof_start[column_dof + 1]; ++q) {
           int at = find(row, dof_unknown[q]);
           const Rows& target = at >= 0 ? inside : outside;
-          target.value[target.start[row] + (at >= 0 ? at : ~at)] += dof_weight[p] * dof_weight[q] * entry(i, j);
+          target.value[target.start[row] + (at >= 0 ? at : ~at)] +=
+              dof_weight[p] * dof_weight[q] * entry(i, j);
         }
       }
     }

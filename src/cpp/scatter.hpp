@@ -1,8 +1,10 @@
-// From triangle blocks to a sparse matrix whose pattern is fixed once: every block's place is looked up beforehand.
+// From triangle blocks to a sparse matrix whose pattern is fixed once: every block's place is looked up
+// beforehand.
 //
-// Nodes are vertices (three displacements) and edges (one director angle). Their degrees of freedom are affine in
-// the unknowns, dof = C unknown + lift (supports, seams); C is the identity for nearly all nodes, and the triangles
-// whose nodes are all plain (identity) or absent (eliminated) take the fast path, the others expand C.
+// Nodes are vertices (three displacements) and edges (one director angle). Their degrees of freedom are
+// affine in the unknowns, dof = C unknown + lift (supports, seams); C is the identity for nearly all nodes,
+// and the triangles whose nodes are all plain (identity) or absent (eliminated) take the fast path, the
+// others expand C.
 #pragma once
 
 #include <climits>
@@ -58,8 +60,10 @@ struct Scatter {
   std::vector<int> dof_start, dof_unknown;
   std::vector<double> dof_weight;  // C in compressed rows, dofs: 3*vertex + axis, then edges
   int vertices = 0;
-  std::vector<char> plain;        // per triangle
-  std::vector<int> position;      // per triangle nodes*nodes places
+  std::vector<char> plain;    // per triangle
+  std::vector<int> position;  // per triangle nodes*nodes places
+  std::vector<int> fresh_start,
+      fresh;                      // per triangle: runs of rows (begin, end) that it is the first to touch
   std::vector<int> ghost_column;  // local unknown - owned -> column of the off-rank part
   Rows inside, outside;           // columns of this rank, and of the others
 
@@ -69,9 +73,15 @@ struct Scatter {
   // Pattern of the owned rows in local unknowns, sorted by rank[unknown] (the global number).
   void pattern(const int64_t* rank, std::vector<int64_t>& start, std::vector<int>& column) const;
   void bind(Rows inside_rows, Rows outside_rows, std::vector<int> ghost_columns);
+  // A fresh assembly visits the triangles in order: each zeroes the rows it is the first to touch, which are
+  // then in the cache when they are added to; clear() zeroes those that no triangle touches.
   void clear();
+  void open(int t) {
+    for (int k = fresh_start[t]; k < fresh_start[t + 1]; k += 2) zero(fresh[k], fresh[k + 1]);
+  }
 
-  // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's Hessian.
+  // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's
+  // Hessian.
   template <int L>
   void add(int t, const double* buffer, int lane) {
     if (!plain[t]) {
@@ -82,36 +92,44 @@ struct Scatter {
     }
     const int* node = &triangle_node[(size_t)NODES * t];
     const int* place = &position[(size_t)nodes * nodes * t];
-    for (int a = 0; a < nodes; ++a) {
-      if (node[a] < 0) continue;
-      int row = first[node[a]];
+    for (int a = 0; a < nodes; ++a, place += nodes) {
+      int row = node[a] < 0 ? -1 : first[node[a]];
       if (row < 0 || row >= owned) continue;
-      for (int b = 0; b < nodes; ++b) {
-        int at = place[a * nodes + b];
-        if (at == ABSENT) continue;
-        const Rows& target = at >= 0 ? inside : outside;
-        if (at < 0) at = ~at;
-        const double* source = buffer + (size_t)BLOCKS.start[a][b] * L + lane;
-        if (a < 6 && b < 6)
-          add_block<L, 3, 3>(target, row, at, source, a <= b);
-        else if (a < 6)
-          add_block<L, 3, 1>(target, row, at, source, true);
-        else if (b < 6)
-          add_block<L, 1, 3>(target, row, at, source, false);
-        else
-          add_block<L, 1, 1>(target, row, at, source, true);
-      }
+      if (a < 6)
+        add_rows<L, 3>(a, row, place, buffer + lane);
+      else
+        add_rows<L, 1>(a, row, place, buffer + lane);
     }
   }
 
  private:
-  template <int L, int R, int C>
-  static void add_block(const Rows& target, int row, int at, const double* source, bool upper) {
+  // The R rows of node a.
+  template <int L, int R>
+  void add_rows(int a, int row, const int* place, const double* source) {
+    double *in[R], *out[R] = {};
     for (int r = 0; r < R; ++r) {
-      double* value = target.value + target.start[row + r] + at;
-      for (int c = 0; c < C; ++c) value[c] += source[(upper ? r * C + c : c * R + r) * L];
+      in[r] = inside.value + inside.start[row + r];
+      if (outside.start) out[r] = outside.value + outside.start[row + r];
     }
+    for (int b = 0; b < 6; ++b)
+      add_block<L, R, 3>(in, out, place[b], source + BLOCKS.start[a][b] * L, a <= b);
+    for (int b = 6; b < nodes; ++b)
+      add_block<L, R, 1>(in, out, place[b], source + BLOCKS.start[a][b] * L, a <= b);
   }
+  template <int L, int R, int C>
+  static void add_block(double* const* in, double* const* out, int at, const double* source, bool upper) {
+    if (at == ABSENT) return;
+    double* const* rows = at >= 0 ? in : out;
+    if (at < 0) at = ~at;
+    if (upper)
+      for (int r = 0; r < R; ++r)
+        for (int c = 0; c < C; ++c) rows[r][at + c] += source[(r * C + c) * L];
+    else
+      for (int r = 0; r < R; ++r)
+        for (int c = 0; c < C; ++c) rows[r][at + c] += source[(c * R + r) * L];
+  }
+  void zero(int begin, int end);
+  void order_rows();
   void add_expanded(int t, const double* block);
   int find(int row, int unknown) const;  // place in the row as in position, ABSENT if not there
   int triangle_dof(int t, int k) const;  // global dof of the triangle's k-th, -1 absent

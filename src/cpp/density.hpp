@@ -1,0 +1,242 @@
+// The energy W of a triangle and its derivatives with respect to the six invariants, against a rest state.
+#pragma once
+
+#include "models.hpp"
+
+namespace voile {
+inline namespace VOILE_ISA {
+
+constexpr int upper(int i, int j) { return i <= j ? i * 6 - i * (i - 1) / 2 + j - i : upper(j, i); }
+
+// Value and derivatives of W with respect to l (0..2) and alpha (3..5).
+struct Jet {
+  Energy<Real> energy;
+  Real g[6];
+  Real h[21];
+};
+
+// Rest invariants and fabric of a block of triangles.
+struct Rest {
+  Invariants<Real> q;
+  Real dl[3];  // l(start shape) - l(rest)
+  Fabric<Real> fabric;
+};
+
+// What St. Venant-Kirchhoff needs of them. With t = tau.v and d the determinant of the form with components
+// v, the stretching energy is major t^2 - minor d for v = dl, the bending energy ratio times that for v = II
+// - II_rest.
+struct QuadraticRest {
+  Real dl[3], ii[3];
+  Real tau_l[3], tau_ii[3];
+  Real major, minor, ratio;
+};
+
+template <int N>
+inline Dual<Real, N> variable(const Real& v, int i) {
+  Dual<Real, N> r(v);
+  r.d[i] = 1.0;
+  return r;
+}
+
+// The i-th of M outer variables (value v) and the i-th of N inner ones.
+template <int N, int M>
+inline Dual<Dual<Real, N>, M> variable2(const Real& v, int i) {
+  Dual<Dual<Real, N>, M> r(variable<N>(v, i));
+  r.d[i] = Dual<Real, N>(1.0);
+  return r;
+}
+
+// Sine (or, shifted, cosine) of an angle variable: value, first derivative; the second is minus the value.
+template <int N>
+inline Dual<Real, N> wave(const Real& v, const Real& slope, int i) {
+  Dual<Real, N> r(v);
+  r.d[i] = slope;
+  return r;
+}
+
+template <int N, int M>
+inline Dual<Dual<Real, N>, M> wave2(const Real& v, const Real& slope, int i) {
+  Dual<Dual<Real, N>, M> r(wave<N>(v, slope, i));
+  r.d[i] = wave<N>(slope, -v, i);
+  return r;
+}
+
+// ---- any model by automatic differentiation ----
+
+// A number as a constant of the type T.
+template <class T>
+inline T lift(const Real& v) {
+  if constexpr (std::is_same_v<T, Real>)
+    return v;
+  else
+    return T(lift<decltype(T::v)>(v));
+}
+template <class T>
+inline Fabric<T> lift(const Fabric<Real>& f) {
+  return {lift<T>(f.thickness), lift<T>(f.young), lift<T>(f.poisson)};
+}
+template <class T>
+inline Invariants<T> lift(const Invariants<Real>& q) {
+  Invariants<T> r;
+  for (int i = 0; i < 3; ++i) r.l[i] = lift<T>(q.l[i]), r.s[i] = lift<T>(q.s[i]), r.c[i] = lift<T>(q.c[i]);
+  return r;
+}
+
+// dl = l - l_rest with its accurate value, the increase over the start shape plus the start's.
+template <class Model, class T>
+inline Energy<T> model_energy(const Invariants<T>& q, const Real increase[3], const Rest& rest,
+                              const Invariants<T>& q_rest, const Fabric<T>& fabric) {
+  T dl[3];
+  for (int i = 0; i < 3; ++i) {
+    dl[i] = q.l[i] - q_rest.l[i];
+    set_value(dl[i], increase[i] + rest.dl[i]);
+  }
+  return Model::energy(q, dl, q_rest, fabric);
+}
+
+template <class Model, int order>
+inline void evaluate_automatic(const Rest& r, const Invariants<Real>& at, const Real increase[3], Jet& jet) {
+  constexpr int N = Model::bends ? 6 : 3;
+  using T = std::conditional_t<order == 0, Real,
+                               std::conditional_t<order == 1, Dual<Real, N>, Dual<Dual<Real, N>, N>>>;
+  Invariants<T> q = lift<T>(at);
+  for (int i = 0; i < 3 && order > 0; ++i) {
+    if constexpr (order == 1) q.l[i] = variable<N>(at.l[i], i);
+    if constexpr (order == 2) q.l[i] = variable2<N, N>(at.l[i], i);
+    if constexpr (order == 1 && N == 6) {
+      q.s[i] = wave<N>(at.s[i], at.c[i], 3 + i);
+      q.c[i] = wave<N>(at.c[i], -at.s[i], 3 + i);
+    }
+    if constexpr (order == 2 && N == 6) {
+      q.s[i] = wave2<N, N>(at.s[i], at.c[i], 3 + i);
+      q.c[i] = wave2<N, N>(at.c[i], -at.s[i], 3 + i);
+    }
+  }
+  auto e = model_energy<Model, T>(q, increase, r, lift<T>(r.q), lift<T>(r.fabric));
+  if constexpr (order == 0) {
+    jet.energy = e;
+  } else {
+    T sum = e.stretching + e.bending;
+    jet.energy = {value(e.stretching), value(e.bending)};
+    for (int i = 0; i < 6; ++i) {
+      jet.g[i] = i < N ? value(sum.d[i % N]) : Real(0.0);
+      if constexpr (order == 2)
+        for (int j = i; j < 6; ++j) jet.h[upper(i, j)] = j < N ? sum.d[i % N].d[j % N] : Real(0.0);
+    }
+  }
+}
+
+// ---- St. Venant-Kirchhoff by hand: quadratic in dl and II; far faster than the automatic derivatives ----
+
+// Determinant of first_form(v) and of {v0 + v1, v0, v0 + v2}: second derivatives (equal, unequal indices).
+constexpr double FIRST_DET[2] = {-0.5, 0.5}, SECOND_DET[2] = {0.0, 1.0};
+
+// Second derivative i, j of major t^2 - minor d.
+VOILE_INLINE Real stiffness(const QuadraticRest& r, const Real tau[3], const double det[2], int i, int j) {
+  return Real(2.0) * r.major * tau[i] * tau[j] - Real(det[i != j]) * r.minor;
+}
+
+// Its gradient into s; returns its value.
+VOILE_INLINE Real stress(const QuadraticRest& r, const Real tau[3], const double det[2], const Real v[3],
+                         Real s[3]) {
+  Real twice = Real(2.0) * r.major * (tau[0] * v[0] + tau[1] * v[1] + tau[2] * v[2]),
+       sum = v[0] + v[1] + v[2];
+  Real energy = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    s[i] = twice * tau[i] - r.minor * (Real(det[0]) * v[i] + Real(det[1]) * (sum - v[i]));
+    energy += Real(0.5) * s[i] * v[i];
+  }
+  return energy;
+}
+
+template <class Model>
+inline QuadraticRest quadratic_rest(const Rest& rest) {
+  QuadraticRest r;
+  const Fabric<Real>& f = rest.fabric;
+  Sym2<Real> form = first_form(rest.q.l), i = form.inverse();
+  Real twice_area = sqrt(form.det()), modulus = Real(0.125) * twice_area * f.thickness * f.young;
+  r.major = Real(0.5) * modulus / (Real(1.0) - f.poisson * f.poisson);
+  r.minor = modulus / ((Real(1.0) + f.poisson) * form.det());
+  r.ratio = f.thickness * f.thickness * Real(1.0 / 3.0);
+  r.tau_l[0] = -i.b, r.tau_l[1] = i.b + i.c, r.tau_l[2] = i.a + i.b;
+  r.tau_ii[0] = i.a + Real(2.0) * i.b + i.c, r.tau_ii[1] = i.a, r.tau_ii[2] = i.c;
+  for (int k = 0; k < 3; ++k) {
+    r.dl[k] = rest.dl[k];
+    r.ii[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]) * Model::Fibre::f(rest.q.s[k], rest.q.c[k]);
+  }
+  return r;
+}
+
+// twice_area: of the deformed triangle; root: its edges' lengths.
+template <class Model, int order>
+VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Invariants<Real>& q, const Real& twice_area,
+                                 const Real root[3], Jet& jet) {
+  using F = Dual<Dual<Real, 1>, 1>;
+  const Real* l = q.l;
+  Real ii[3], f1[3], f2[3], height[3], change[3], moment[3];
+  for (int i = 0; i < 3; ++i) {
+    F f = Model::Fibre::f(wave2<1, 1>(q.s[i], q.c[i], 0), wave2<1, 1>(q.c[i], -q.s[i], 0));
+    f1[i] = f.d[0].v, f2[i] = f.d[0].d[0];
+    height[i] = Real(2.0) * twice_area / root[i];
+    ii[i] = height[i] * f.v.v;
+    change[i] = r.ratio * (ii[i] - r.ii[i]);
+  }
+  jet.energy.bending = stress(r, r.tau_ii, SECOND_DET, change, moment) / r.ratio;
+  if constexpr (order == 0) return;
+  Real inverse = Real(1.0) / (twice_area * twice_area), total = Real(0.5) * (l[0] + l[1] + l[2]);
+  Real slope_det[3], rate[3][3], first[3][6];  // d ln det/dl_i; d ln height_i/dl_j; dII_i/dq
+  for (int i = 0; i < 3; ++i) slope_det[i] = (total - l[i]) * inverse;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      rate[i][j] = Real(0.5) * slope_det[j];
+      if (i == j) rate[i][j] -= Real(0.5) / l[i];
+      first[i][j] = ii[i] * rate[i][j];
+      first[i][3 + j] = i == j ? height[i] * f1[i] : Real(0.0);
+      jet.g[j] += moment[i] * first[i][j];
+    }
+    jet.g[3 + i] = moment[i] * first[i][3 + i];
+  }
+  if constexpr (order < 2) return;
+  Real turned[3][6];  // stiffness times dII/dq
+  for (int i = 0; i < 3; ++i)
+    for (int p = 0; p < 6; ++p) {
+      turned[i][p] = 0.0;
+      for (int j = 0; j < 3; ++j)
+        if (p < 3 || p - 3 == j)
+          turned[i][p] += r.ratio * stiffness(r, r.tau_ii, SECOND_DET, i, j) * first[j][p];
+    }
+  for (int p = 0; p < 6; ++p)
+    for (int k = p; k < 6; ++k)
+      for (int i = 0; i < 3; ++i)
+        if (p < 3 || p - 3 == i) jet.h[upper(p, k)] += first[i][p] * turned[i][k];
+  Real lengths = moment[0] * ii[0] + moment[1] * ii[1] + moment[2] * ii[2];
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      for (int k = j; k < 3; ++k) jet.h[upper(j, k)] += moment[i] * ii[i] * rate[i][j] * rate[i][k];
+      jet.h[upper(j, 3 + i)] += moment[i] * height[i] * f1[i] * rate[i][j];
+    }
+    jet.h[upper(i, i)] += moment[i] * ii[i] * Real(0.5) / (l[i] * l[i]);
+    jet.h[upper(3 + i, 3 + i)] += moment[i] * height[i] * f2[i];
+    for (int k = i; k < 3; ++k)
+      jet.h[upper(i, k)] +=
+          Real(0.5) * lengths * (Real(i == k ? -0.5 : 0.5) * inverse - slope_det[i] * slope_det[k]);
+  }
+}
+
+template <class Model, int order>
+VOILE_INLINE void evaluate_quadratic(const QuadraticRest& r, const Invariants<Real>& q,
+                                     const Real increase[3], const Real& twice_area, const Real root[3],
+                                     Jet& jet) {
+  Real dl[3];
+  for (int i = 0; i < 3; ++i) dl[i] = increase[i] + r.dl[i];
+  jet.energy = {stress(r, r.tau_l, FIRST_DET, dl, jet.g), 0.0};
+  for (int i = 3; i < 6; ++i) jet.g[i] = 0.0;
+  if constexpr (order == 2)
+    for (int i = 0; i < 6; ++i)
+      for (int j = i; j < 6; ++j)
+        jet.h[upper(i, j)] = j < 3 ? stiffness(r, r.tau_l, FIRST_DET, i, j) : Real(0.0);
+  if constexpr (Model::bends) bend_quadratic<Model, order>(r, q, twice_area, root, jet);
+}
+
+}  // namespace VOILE_ISA
+}  // namespace voile
