@@ -178,6 +178,16 @@ def test_an_override_may_supply_a_missing_key_or_table(tmp_path):
     )
 
 
+def test_a_replaced_table_is_the_overrides_fault(tmp_path):
+    override = "fix.0.move={displacement=[0]}"
+    assert refusal(tmp_path, FULL, override).startswith(
+        f"--set {override}: fix.0.move.displacement: [0] has length"
+    )
+    assert refusal(tmp_path, FULL, "fix.0.axes=xyy", "fix.0.clamp=true").startswith(
+        "--set fix.0.axes=xyy: fix.0.axes"
+    )
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -189,6 +199,15 @@ def test_an_override_may_supply_a_missing_key_or_table(tmp_path):
             "--set shell.young=-1: shell.young: -1 is not allowed; allowed: a finite number > 0 in Pa",
         ),
         ("shell.young=1 MPa", "--set shell.young=1 MPa: shell.young: '1 MPa' is text"),
+        (
+            "loadz.gravity=1",
+            '--set loadz.gravity=1: loadz: unknown key (did you mean "loads"?); allowed: scene',
+        ),
+        ("shell.foo.bar=1", "--set shell.foo.bar=1: shell.foo: unknown key; allowed: mesh"),
+        (
+            "loads.gravity.1=1",
+            "--set loads.gravity.1=1: loads.gravity is not a table; allowed: loads.gravity=VALUE",
+        ),
         ("shell.young.high=1", "--set shell.young.high=1: shell.young is not a table"),
         ("fix.2.axes=xy", "--set fix.2.axes=xy: fix.2: allowed: an index from 0 to 1"),
         ("fix.-1.axes=xy", "--set fix.-1.axes=xy: fix.-1: allowed: an index from 0 to 1"),
@@ -231,15 +250,23 @@ k = 4
         ("a", "b.c", "d"): 12,
         ("a", "b.c", "d", "e"): 12,
         ("a", "b.c", "d", "e", "f"): 12,
+        ("a",): 7,
+        ("list",): 13,
         ("list", 0): 13,
         ("list", 0, "k"): 14,
         ("list", 0, "sub"): 15,
         ("list", 0, "sub", "k"): 16,
         ("list", 1): 17,
         ("list", 1, "k"): 18,
+        ("list", 1, "inner"): 19,
         ("list", 1, "inner", 0): 19,
         ("list", 1, "inner", 0, "k"): 20,
     }
+
+
+def test_lines_of_tables_after_their_subtables():
+    lines = key_lines("[[loads.force]]\nvalue = 1\n[loads]\npressure = 2")
+    assert lines[("loads",)] == 3 and lines[("loads", "force", 0, "value")] == 2
 
 
 # ---- schema, and what this version leaves out ----

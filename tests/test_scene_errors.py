@@ -83,6 +83,8 @@ FORMS = """
 [[loads.force]]; select = { all = true } | , line 7: loads.force.0: the key "value" is missing: dead force
 [loads]; force = 5 | , line 8: loads.force: 5 is an integer; allowed: tables in double brackets
 [statics; | : not TOML: Expected ']' at the end of a table declaration (at line 7, column 9)
+[[obstacles]] | , line 7: obstacles: unknown key (did you mean "obstacle"?)
+[[load.force]] | , line 7: load: unknown key (did you mean "loads"?)
 young = 1; [loads] | : not TOML: Cannot overwrite a value (at line 7, column 10)
 [[obstacle]]; shape = 'sphere'; radius = 1 | , line 7: obstacle.0: the key "center" is missing
 [[obstacle]]; shape = 'plane'; point = [0, 0, 0]; normal = [0, 0, 0] | , line 10: obstacle.0.normal: [0, 0, 0]

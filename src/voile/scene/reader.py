@@ -32,7 +32,10 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
         raise InputError(f"{path}: arrays or tables are nested too deeply") from None
     places = {at: f"{path}, line {line}" for at, line in key_lines(text).items()}
     for override in overrides:
-        places[_apply(tree, override)] = f"--set {override}"
+        new = _apply(tree, override)
+        places = {at: place for at, place in places.items() if at[: len(new)] != new} | {
+            new: f"--set {override}"
+        }
     try:
         scene = Table(Scene).read(tree)
     except Rejected as error:
@@ -93,11 +96,12 @@ def key_lines(text: str) -> dict[KeyPath, int]:
             line = text.count("\n", 0, start) + 1
             if row.lstrip().startswith("["):
                 table = _place(_names(source), count, opens=row.lstrip().startswith("[["))
-                lines.setdefault(table, line)
+                lines.pop(table, None)  # a subtable may have come first
+                at = table
             else:
                 at = table + _names(source[: row.index("=")] + "= 0")
-                for length in range(len(table) + 1, len(at) + 1):  # a dotted key opens tables on its way
-                    lines.setdefault(at[:length], line)
+            for prefix in _prefixes(at):  # dotted names open tables on their way
+                lines.setdefault(prefix, line)
         depth += sum(row.count(c) for c in "[{") - sum(row.count(c) for c in "]}")
         start += len(row) + 1
     return lines
@@ -135,32 +139,37 @@ def _prefixes(path: KeyPath) -> Iterator[KeyPath]:
 
 
 def _apply(tree: dict[str, Any], override: str) -> KeyPath:
-    """Sets one key=value in the tree; returns the key's path."""
+    """Sets one key=value in the tree; returns the path of what is new, the key or a table made for it."""
     name, equals, value = override.partition("=")
     parts = [part.strip() for part in name.split(".")]
     if not equals or not all(parts):
         raise InputError(f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy")
-    path: list[str | int] = []
+    path: KeyPath = ()
+    new: KeyPath = ()
     node: Any = tree
-    for position, part in enumerate(parts):
-        at: str | int = part
-        if isinstance(node, list):
-            at = int(part) if part.isdecimal() else -1
-            if not 0 <= at < len(node):
-                allowed = f"an index from 0 to {len(node) - 1}" if node else "nothing, it is empty"
-                raise InputError(f"--set {override}: {'.'.join(map(str, path))}.{part}: allowed: {allowed}")
-        elif not isinstance(node, dict):
-            raise InputError(
-                f"--set {override}: {'.'.join(map(str, path))} is not a table, it has no key {part}"
-            )
-        path.append(at)
-        if position == len(parts) - 1:
+    for last, part in ((position == len(parts) - 1, part) for position, part in enumerate(parts)):
+        at = _step(node, part, path, override)
+        path += (at,)
+        if not new and (last or (isinstance(node, dict) and part not in node)):
+            new = path
+        if last:
             node[at] = _parse(value.strip(), override)
-        elif isinstance(node, dict):
-            node = node.setdefault(part, {})
         else:
-            node = node[at]
-    return tuple(path)
+            node = node.setdefault(at, {}) if isinstance(node, dict) else node[at]
+    return new
+
+
+def _step(node: Any, part: str, path: KeyPath, override: str) -> str | int:
+    """The key or index that one part of an override's name means in the table, or array of tables, `node`."""
+    if isinstance(node, dict):
+        return part
+    name = ".".join(map(str, path))
+    if not isinstance(node, list) or not all(isinstance(entry, dict) for entry in node):
+        raise InputError(f"--set {override}: {name} is not a table; allowed: {name}=VALUE")
+    if not part.isdecimal() or int(part) >= len(node):
+        allowed = f"an index from 0 to {len(node) - 1}" if node else "nothing, it is empty"
+        raise InputError(f"--set {override}: {name}.{part}: allowed: {allowed}")
+    return int(part)
 
 
 def _parse(value: str, override: str) -> Any:
