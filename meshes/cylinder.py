@@ -12,8 +12,8 @@ def cylinder(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Open cylinder about the z axis, 0 <= z <= length, or a sector of it from the x axis on; outward.
 
-    sector: degrees, 360 is closed. Irregular meshes are made in the developed rectangle. The default sizes are those
-    of the pull-out of an open cylinder in Sze, Liu & Lo (2004).
+    sector: degrees, 360 is closed. Irregular meshes are made in the developed rectangle. The default sizes
+    are those of the pull-out of an open cylinder in Sze, Liu & Lo (2004).
     """
     positive(radius=radius, length=length, sector=sector, size=size)
     if sector > 360:

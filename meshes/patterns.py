@@ -211,7 +211,10 @@ def command(build: Callable[..., tuple[np.ndarray, ...]]) -> None:
     try:
         mesh = build(**options)
         settings = ", ".join(f"{key} = {value}" for key, value in options.items())
-        write_obj(output, *mesh, comment=f"meshes/{build.__name__}.py: {settings}; metres")
+        points, triangles = mesh[:2]
+        texture, texture_triangles = mesh[2:] or (None, None)
+        comment = f"meshes/{build.__name__}.py: {settings}; metres"
+        write_obj(output, points, triangles, texture, texture_triangles, comment=comment)
     except ValueError as error:
         parser.error(str(error))
     print(f"{output}: {len(mesh[0])} vertices, {len(mesh[1])} triangles")

@@ -82,7 +82,8 @@ def read_mesh(path: str | Path, scale: float = 1.0, seams: bool = True) -> Surfa
     texture_triangles = raw.texture_triangles
     stitches = None
     if raw.stitch_vertices is not None and raw.stitch_weight is not None:
-        stitches = Stitches(*new[raw.stitch_vertices].T.copy(), raw.stitch_weight)
+        slave, first, second = new[raw.stitch_vertices].T.copy()
+        stitches = Stitches(slave, first, second, raw.stitch_weight)
     return Surface(
         points=np.ascontiguousarray(raw.points[vertices]),
         triangles=_flipped(new[raw.triangles], flip)[triangles],
