@@ -6,16 +6,21 @@ from voile.errors import InputError
 from voile.problem.shell import Shell
 
 
-def held_directors(shell: Shell) -> np.ndarray:
-    """(k, 5) rows of half edge, conormal flag, unit vector, for both sides of every clamped edge.
+def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """What holds the directors of both sides of every clamped edge: (k, 5) rows of half edge, conormal flag,
+    unit vector; and the director angles (edges,) of the start shape.
 
-    The director is that of the start shape (on an inner edge the bisector of the two normals). With all axes of the
-    edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge) what is held is the
-    director or the edge's in-plane normal, whichever lies along the supported axes. Raises InputError if neither does.
+    The director is that of the start shape (on an inner edge the bisector of the two normals). With all axes
+    of the edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge) what is held
+    is the director or the edge's in-plane normal, whichever lies along the supported axes. An edge in a plane
+    of symmetry keeps the angle at which the start shape meets that plane (triangles inscribed in a curved shell
+    never meet it at a right angle): the axis is held, the director angle makes up the difference, which needs
+    a model with directors. Raises InputError where nothing suits.
     """
     topology = shell.topology
+    angles = np.zeros(len(topology.edges))
     if not len(shell.clamped_edges):
-        return np.zeros((0, 5))
+        return np.zeros((0, 5)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
     half = np.flatnonzero(clamped[topology.triangle_edges.ravel()])
@@ -33,16 +38,30 @@ def held_directors(shell: Shell) -> np.ndarray:
     loose_director = np.abs(director * free).max(axis=1)
     loose_conormal = np.abs(conormal * free).max(axis=1)
     use_conormal = ~slides | (loose_conormal < loose_director)
+    if directors:
+        axis, meets = _plane_of_symmetry(free, along, conormal, np.minimum(loose_conormal, loose_director))
+        tilt = np.arctan2(np.einsum("ij,ij->i", axis, -director), np.einsum("ij,ij->i", axis, conormal))
+        angles[topology.triangle_edges.ravel()[half[meets]]] = -(topology.signs.ravel()[half] * tilt)[meets]
+        conormal[meets], loose_conormal[meets], use_conormal[meets] = axis[meets], 0.0, True
     loose = np.where(use_conormal, loose_conormal, loose_director)
     if (slides & (loose > 1e-6)).any():
         k = np.flatnonzero(slides & (loose > 1e-6))[0]
         raise InputError(
-            f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither its normal "
-            "nor its in-plane normal lies along the supported axes; support all axes there, or only those of a plane "
-            "of symmetry that the shell meets at a right angle"
+            f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither its "
+            "normal nor its in-plane normal lies along the supported axes; support all axes there, or only that "
+            "across a plane of symmetry that holds the edge (not at a right angle: bending = sin, tan or theta)"
         )
     vector = np.where(use_conormal[:, None], conormal, director)
-    return np.column_stack([half, use_conormal, vector])
+    return np.column_stack([half, use_conormal, vector]), angles
+
+
+def _plane_of_symmetry(free, along, conormal, loose) -> tuple[np.ndarray, np.ndarray]:
+    """The one supported axis towards the conormal (k, 3), and where (k,) an edge lies in the plane across it
+    at an angle that is not right (nothing else to hold: loose) but less than 45 degrees off."""
+    axis = ~free * np.where(conormal < 0.0, -1.0, 1.0)
+    across = np.abs(np.einsum("ij,ij->i", axis, along)) < 1e-6
+    steep = np.einsum("ij,ij->i", axis, conormal) > np.sqrt(0.5)
+    return axis, (free.sum(axis=1) == 2) & across & steep & (loose > 1e-12)
 
 
 def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

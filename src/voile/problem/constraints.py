@@ -16,7 +16,7 @@ class Constraints:
 
     matrix C (dofs, dofs): unit rows for unknowns, combinations of unknowns for what is sewn to them, empty rows for
     supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. gap (dofs,) is the displacement that closes
-    the seams of the start shape, lift (dofs,) the supports' at load factor 1, carried along the seams.
+    the seams of the start shape and the director angles of its clamps, lift (dofs,) the supports' at load factor 1, carried along the seams.
     """
 
     matrix: sp.csr_matrix
@@ -38,7 +38,9 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
     if len(shell.slave):
         gap = (_closing(shell, sewing, fixed_base) if shell.closing is None else shell.closing).ravel()
     column = (3 * base[:, None] + np.arange(3)).ravel()
-    place = sp.csr_matrix((np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n))
+    place = sp.csr_matrix(
+        (np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n)
+    )
     keep = sp.diags((~fixed_base).ravel().astype(float))
     vertices = (sp.kron(sewing, sp.identity(3), format="csr") @ keep @ place).tocsr()
     director_free = np.full(edges, directors)

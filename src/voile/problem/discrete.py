@@ -22,7 +22,8 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     if comm.rank == 0:
         try:
             constraints = build_constraints(shell, directors)
-            clamps = held_directors(shell)
+            clamps, angles = held_directors(shell, directors)
+            constraints.gap[3 * len(shell.points) :] = angles
             numbering = number_unknowns(shell, constraints, comm.size)
         except Exception as error:
             comm.bcast(error)
@@ -50,7 +51,13 @@ class Problem:
         settings = None
         if comm.rank == 0:
             follower = bool(shell.pressure and _free_rim(shell)) or shell.moment is not None
-            settings = (shell.model, np.asarray(shell.gravity, float), float(shell.pressure), shell.flat, follower)
+            settings = (
+                shell.model,
+                np.asarray(shell.gravity, float),
+                float(shell.pressure),
+                shell.flat,
+                follower,
+            )
         self.model, self.gravity, self.pressure, flat, follower = comm.bcast(settings)
         self.conservative = not follower
         probe = _kernels.Elastic(self.model, *_single_triangle())
@@ -60,7 +67,13 @@ class Problem:
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
         self.kernel = _kernels.Elastic(
-            self.model, part.corners, part.triangle_edges, part.signs, part.across, len(part.edge), part.points
+            self.model,
+            part.corners,
+            part.triangle_edges,
+            part.signs,
+            part.across,
+            len(part.edge),
+            part.points,
         )
         self.kernel.set_rest(part.rest_points, part.rest_corners, flat)
         self.kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
@@ -131,8 +144,8 @@ class Problem:
     def local(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
         u, phi = self._spread(y)
-        u += (self.part.gap + self.load_factor * self.part.lift)[: len(u)]
-        return u, phi
+        held = self.part.gap + self.load_factor * self.part.lift
+        return u + held[: len(u)], phi + held[len(u) :]
 
     def _spread(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
         """C y on the local degrees of freedom."""
@@ -261,7 +274,11 @@ class Problem:
         count = len(rows)
         force = (self._vertex_force + part.force)[:count][rows]
         mass = part.mass[:count][rows]
-        wave = part.fabric[1] @ part.weight / max(part.fabric[3] @ part.weight, 1e-300) if len(part.weight) else 0.0
+        wave = (
+            part.fabric[1] @ part.weight / max(part.fabric[3] @ part.weight, 1e-300)
+            if len(part.weight)
+            else 0.0
+        )
         total = self.comm.allreduce(np.array([force @ force, mass @ mass]))
         wave = self.comm.allreduce(wave, op=MPI.MAX)
         size = self.size()
