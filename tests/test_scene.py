@@ -123,7 +123,7 @@ def test_every_table_is_read(tmp_path):
     assert scene.loads.moment[0].select == {"boundary": 0, "box": [[0, 0, 0], [0, 1, 1]]}
     assert scene.fix[0].axes == "xz" and not scene.fix[0].clamp
     assert scene.fix[0].move.displacement == (0.0, 0.0, 0.1)
-    assert scene.fix[1].axes == "xyz" and scene.fix[1].clamp and scene.fix[1].move is None
+    assert scene.fix[1].axes == "xyz" and not scene.fix[1].clamp and scene.fix[1].move is None
     assert scene.obstacle[0].radius == 0.2 and scene.obstacle[0].move.displacement == (0.0, 0.1, 0.0)
     assert scene.obstacle[1].file == (tmp_path / "body.obj").resolve() and scene.obstacle[1].scale == 2.0
     assert scene.inverse.developable == "panels" and scene.inverse.estimate == ("young",)
@@ -283,7 +283,7 @@ def test_schema_describes_every_key_with_its_unit():
     assert undescribed == []
     assert keys["shell.young"]["description"].endswith("(Pa)")
     assert keys["loads.gravity"]["description"].endswith("(m/s^2)")
-    assert keys["loads.gravity"]["default"] == [0.0, -9.81, 0.0] and keys["fix.clamp"]["default"] is True
+    assert keys["loads.gravity"]["default"] == [0.0, -9.81, 0.0] and keys["fix.clamp"]["default"] is False
 
 
 def test_unsupported_names_the_keys(tmp_path):

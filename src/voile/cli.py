@@ -54,15 +54,21 @@ def _parser() -> argparse.ArgumentParser:
     ):
         sub = command(name, function, text)
         sub.add_argument("scene", type=Path)
-        sub.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a scene key")
+        sub.add_argument(
+            "--set", action="append", default=[], metavar="KEY=VALUE", help="override a scene key"
+        )
         if name == "run":
-            sub.add_argument("-o", "--output", type=Path, help="result folder (default: the scene's name + -result)")
+            sub.add_argument(
+                "-o", "--output", type=Path, help="result folder (default: the scene's name + -result)"
+            )
     sub = command("info", _info, "figures of a result")
     sub.add_argument("file", type=Path)
     sub = command("render", _render, "a PNG picture of a result")
     sub.add_argument("file", type=Path)
     sub.add_argument("-o", "--output", type=Path, help="default: FIELD.png beside the result")
-    sub.add_argument("--field", default="strain", help="colours: displacement, strain, curvature or a stored field")
+    sub.add_argument(
+        "--field", default="strain", help="colours: displacement, strain, curvature or a stored field"
+    )
     sub.add_argument("--step", type=int, default=-1)
     sub.add_argument("--view", help="front, back, left, right, top, oblique")
     sub = command("export", _export, "a shape as obj, ply, vtu or glb")
@@ -186,7 +192,9 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     from voile.solver.statics import StaticsOptions, solve_statics
 
     s = scene.statics
-    options = StaticsOptions(s.load_steps, s.max_steps, s.perturbation, s.tolerance, s.stability, s.eigenvalue)
+    options = StaticsOptions(
+        s.load_steps, s.max_steps, s.perturbation, s.tolerance, s.stability, s.eigenvalue
+    )
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
     part = problem.part
@@ -204,7 +212,9 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
         )
     versions = {"petsc": ".".join(map(str, PETSc.Sys.getVersion())), "python": platform.python_version()}
     writing = 0.0
-    with ResultWriter(folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions) as writer:
+    with ResultWriter(
+        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions
+    ) as writer:
 
         def write(factor: float, y, scalars: dict[str, float]) -> None:
             nonlocal writing
@@ -293,7 +303,9 @@ class Progress:
         if self.quiet or (not self.live and now - self.last < self.QUIET):
             return
         self.last = now
-        text = f"load {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  {now - self.began:.1f} s"
+        text = (
+            f"load {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  {now - self.began:.1f} s"
+        )
         print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
 
     def step(self, step) -> None:

@@ -16,26 +16,69 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
     bends, directors = spec.model != "membrane", koiter and spec.bending != "average"
     inner = int((shell.topology.across >= 0).sum()) // 2
     rows = [
-        ("stretching", True, f"material {spec.material}" if spec.model != "discrete-shells" else "lengths and areas"),
-        ("bending", bends, f"model {spec.model}, {inner} hinges" if bends else "a membrane has no bending stiffness"),
+        (
+            "stretching",
+            True,
+            f"material {spec.material}" if spec.model != "discrete-shells" else "lengths and areas",
+        ),
+        (
+            "bending",
+            bends,
+            f"model {spec.model}, {inner} hinges" if bends else "a membrane has no bending stiffness",
+        ),
         (
             "director angles",
             directors,
             f"one unknown per edge for bending = {spec.bending!r}"
             if directors
-            else ("mid-edge normals are averages of the faces'" if koiter else f"model {spec.model} has none"),
+            else (
+                "mid-edge normals are averages of the faces'" if koiter else f"model {spec.model} has none"
+            ),
         ),
-        ("rest curvature", bends and not shell.flat, "the flat rest shape has none" if shell.flat else "from the rest shape"),
-        ("seams", len(shell.slave) > 0, f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices"
-         if len(shell.slave) else "no stitch records"),
-        ("gravity", bool(shell.gravity.any()), f"{weight(shell):.4g} kg" if shell.gravity.any() else "loads.gravity is zero"),
-        ("pressure", shell.pressure != 0.0, "follows the surface" if shell.pressure else "loads.pressure is zero"),
-        ("dead forces", shell.force is not None, "loads.force" if shell.force is not None else "no [[loads.force]]"),
-        ("end moments", shell.moment is not None, "loads.moment" if shell.moment is not None else "no [[loads.moment]]"),
-        ("moving supports", bool(shell.motion.any()), "fix.move" if shell.motion.any() else "no support moves"),
+        (
+            "rest curvature",
+            bends and not shell.flat,
+            "the flat rest shape has none" if shell.flat else "from the rest shape",
+        ),
+        (
+            "seams",
+            len(shell.slave) > 0,
+            f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices"
+            if len(shell.slave)
+            else "no stitch records",
+        ),
+        (
+            "gravity",
+            bool(shell.gravity.any()),
+            f"{weight(shell):.4g} kg" if shell.gravity.any() else "loads.gravity is zero",
+        ),
+        (
+            "pressure",
+            shell.pressure != 0.0,
+            "follows the surface" if shell.pressure else "loads.pressure is zero",
+        ),
+        (
+            "dead forces",
+            shell.force is not None,
+            "loads.force" if shell.force is not None else "no [[loads.force]]",
+        ),
+        (
+            "end moments",
+            shell.moment is not None,
+            "loads.moment" if shell.moment is not None else "no [[loads.moment]]",
+        ),
+        (
+            "moving supports",
+            bool(shell.motion.any()),
+            "fix.move" if shell.motion.any() else "no support moves",
+        ),
         ("contact", False, "no [[obstacle]]"),
         ("friction", False, "no [[obstacle]]"),
-        ("mass", False, f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only"),
+        (
+            "mass",
+            False,
+            f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only",
+        ),
     ]
     return rows
 
@@ -66,5 +109,7 @@ def explain(scene: Scene, model: Model) -> str:
     lines += [f"  {'+' if keep else '-'} {name:<{width}}  {reason}" for name, keep, reason in rows]
     lines += [f"  note: {note}" for note in model.notes]
     if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
-        lines.append("  note: bending stiffness is at round-off against stretching; consider model = 'membrane'")
+        lines.append(
+            "  note: bending stiffness is at round-off against stretching; consider model = 'membrane'"
+        )
     return "\n".join(lines)

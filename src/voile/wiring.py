@@ -28,7 +28,9 @@ def build_model(scene: Scene) -> Model:
     """Reads and checks everything a scene names; raises InputError with the scene's key in question."""
     spec = scene.shell
     surface = read_mesh(spec.mesh, spec.scale, spec.seams)
-    rest = read_rest(spec.rest if spec.rest is None else str(spec.rest), surface, Path(scene.path).parent, spec.scale)
+    rest = read_rest(
+        spec.rest if spec.rest is None else str(spec.rest), surface, Path(scene.path).parent, spec.scale
+    )
     topology = build_topology(surface.triangles)
     loops = boundary_loops(surface.triangles, topology, surface.points)
     fixed, motion, clamped = _supports(scene, surface, topology, loops)
@@ -93,7 +95,9 @@ def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np
         for axis in axes:
             again = vertices[fixed[vertices, axis] & (motion[vertices, axis] != move[axis])]
             if len(again):
-                raise InputError(f"{where}: vertex {again[0]} is moved differently along {'xyz'[axis]} by another fix")
+                raise InputError(
+                    f"{where}: vertex {again[0]} is moved differently along {'xyz'[axis]} by another fix"
+                )
             fixed[vertices, axis] = True
             motion[vertices, axis] = move[axis]
         if fix.clamp:
@@ -117,7 +121,9 @@ def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarr
     return total
 
 
-def _moments(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]) -> np.ndarray | None:
+def _moments(
+    scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]
+) -> np.ndarray | None:
     """(3m,) moments per boundary half edge; a total is shared by length over the selection's boundary edges."""
     if not scene.loads.moment:
         return None

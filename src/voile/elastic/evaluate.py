@@ -98,7 +98,9 @@ def _points(name: str, points: np.ndarray) -> np.ndarray:
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{name} has shape {points.shape}; (n, 3) is expected")
     if not np.isfinite(points).all():
-        raise InputError(f"{name}: vertex {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} is not finite")
+        raise InputError(
+            f"{name}: vertex {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} is not finite"
+        )
     return points
 
 
@@ -106,7 +108,10 @@ def _check_manifold(topology: Topology) -> None:
     """Each half edge's twin must name it back, run the other way, and no edge may have a third triangle."""
     count = np.bincount(topology.triangle_edges.ravel(), minlength=len(topology.edges))
     direction = np.bincount(topology.triangle_edges.ravel(), weights=topology.signs.ravel())
-    for bad, what in ((count > 2, "more than two triangles"), ((count == 2) & (direction != 0), "two triangles of opposite orientation")):
+    for bad, what in (
+        (count > 2, "more than two triangles"),
+        ((count == 2) & (direction != 0), "two triangles of opposite orientation"),
+    ):
         if bad.any():
             i, j = topology.edges[np.flatnonzero(bad)[0]]
             raise InputError(f"triangles: the edge between vertices {i} and {j} has {what}")
@@ -140,13 +145,18 @@ def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, kind: str
     return scipy.sparse.csr_matrix((values, column, start), shape=(size, size))
 
 
-def _jacobian(values: np.ndarray, corners: np.ndarray, triangles: np.ndarray, topology: Topology, columns: int):
+def _jacobian(
+    values: np.ndarray, corners: np.ndarray, triangles: np.ndarray, topology: Topology, columns: int
+):
     """Per-triangle dq/dx (m, 6, 21) as a sparse (6m, columns) matrix; `corners` numbers the vertices."""
     m, vertices = len(triangles), int(corners.max()) + 1
     other = corners.ravel()[np.maximum(topology.across, 0)]  # without a neighbour the values are zero
     nodes = np.concatenate([corners, other], axis=1)
     dofs = np.concatenate(
-        [(3 * nodes[:, :, None] + np.arange(3)).reshape(m, 18), columns - len(topology.edges) + topology.triangle_edges],
+        [
+            (3 * nodes[:, :, None] + np.arange(3)).reshape(m, 18),
+            columns - len(topology.edges) + topology.triangle_edges,
+        ],
         axis=1,
     )
     if columns <= 3 * vertices:  # rest shape: no directors
@@ -166,5 +176,7 @@ def _add_mixed(result, kernel, u, phi, triangles, topology) -> None:
     result.mixed = (j.T @ blocks @ j_rest).tocsr()
     for k, name in enumerate(("thickness", "young", "poisson")):
         result.parameters[name] = fabric[:, k]
-        column = scipy.sparse.bsr_matrix((q_fabric[:, :, k : k + 1], np.arange(m), np.arange(m + 1)), shape=(6 * m, m))
+        column = scipy.sparse.bsr_matrix(
+            (q_fabric[:, :, k : k + 1], np.arange(m), np.arange(m + 1)), shape=(6 * m, m)
+        )
         result.mixed_parameters[name] = (j.T @ column).tocsr()

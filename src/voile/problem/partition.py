@@ -121,7 +121,9 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     begin, end = numbering.range_start[rank], numbering.range_start[rank + 1]
     used = numbering.unknown[rows.indices]
     ghost = np.unique(used[(used < begin) | (used >= end)])
-    local = np.where((used >= begin) & (used < end), used - begin, (end - begin) + np.searchsorted(ghost, used))
+    local = np.where(
+        (used >= begin) & (used < end), used - begin, (end - begin) + np.searchsorted(ghost, used)
+    )
     matrix = sp.csr_matrix((rows.data, local, rows.indptr), shape=(len(dofs), int(end - begin) + len(ghost)))
     matrix.sort_indices()
     vertex_local = np.full(n, -1, dtype=np.int32)

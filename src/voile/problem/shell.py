@@ -64,7 +64,9 @@ def _without_pockets(shell: Shell) -> Topology:
     across = topology.across.ravel()
     opposite = shell.triangles.ravel()
     closed = (across >= 0) & (label[opposite] == label[opposite[np.maximum(across, 0)]])
-    return replace(topology, across=np.where(closed, -1, across).astype(np.int32).reshape(topology.across.shape))
+    return replace(
+        topology, across=np.where(closed, -1, across).astype(np.int32).reshape(topology.across.shape)
+    )
 
 
 def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -21,8 +21,14 @@ def check_supports(shell: Shell) -> None:
             continue
         text = _describe(shell, modes)
         if text:
-            which = "the shell" if pieces.max() == 0 else f"the piece with vertex {vertices[0]} ({len(vertices)} vertices)"
-            raise InputError(f"fix: {which} is free to move rigidly: {text}; add supports ([[fix]]) that prevent it")
+            which = (
+                "the shell"
+                if pieces.max() == 0
+                else f"the piece with vertex {vertices[0]} ({len(vertices)} vertices)"
+            )
+            raise InputError(
+                f"fix: {which} is free to move rigidly: {text}; add supports ([[fix]]) that prevent it"
+            )
 
 
 def _pieces(shell: Shell) -> np.ndarray:
@@ -66,7 +72,11 @@ def _describe(shell: Shell, modes: np.ndarray) -> str:
     if len(still):
         return "translation along " + ", ".join(_direction(m[:3]) for m in still)
     if not loaded:
-        return "rotation about " + ", ".join(_direction(m[3:]) for m in modes) + ", and there is no load to hold it"
+        return (
+            "rotation about "
+            + ", ".join(_direction(m[3:]) for m in modes)
+            + ", and there is no load to hold it"
+        )
     if gravity.any() and not (shell.pressure or shell.force is not None or shell.moment is not None):
         down = gravity / np.linalg.norm(gravity)
         turned = np.linalg.lstsq(modes[:, 3:].T, down, rcond=None)[0] @ modes

@@ -114,7 +114,7 @@ class Move:
 class Fix:
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
-    clamp: bool = key(Boolean(), "also hold the directors: no rotation", default=True)
+    clamp: bool = key(Boolean(), "also hold the directors: no rotation there", default=False)
     move: Move | None = key(Table(Move), "prescribed motion along the held axes", default=None)
 
     def check(self, given: set[str]) -> None:

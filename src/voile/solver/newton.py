@@ -18,6 +18,8 @@ from petsc4py import PETSc
 from voile.problem.discrete import Problem
 
 SUFFICIENT = 1e-4  # fraction of the predicted decrease that a step must reach (Armijo)
+REACH = 0.2  # longest full step over the size of the shell
+LEAP = 5  # mixed steps of a leap
 SHORTEST = 1e-10  # relative step length at which the line search gives up
 PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
 ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
@@ -52,7 +54,7 @@ class Step:
 class Newton:
     """Python context of the SNES; `problem` gives potential, residual and tangent."""
 
-    mixed_limit = 15  # iterations of the fast steps
+    mixed_limit = 25  # iterations of the fast steps
     descend = True  # False: fast steps only
     least_shift = 0.0  # 1/s^2 of mass always added (an unsupported shell)
 
@@ -64,6 +66,7 @@ class Newton:
         self.seconds = 0.0  # in factorisations and solves
         self._mass: PETSc.Vec | None = None
         self._wait = 0
+        self._rest = self._patience = 0  # steps until, and between, leaps
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
@@ -98,6 +101,9 @@ class Newton:
                     snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
                     return
                 continue
+            if exact and length < 0.5 and problem.conservative and self._rest == 0:
+                new_energy = self._leap(snes, y, direction, new_energy, trial, trial_residual)
+            self._rest = max(self._rest - 1, 0)
             trial.copy(y)
             trial_residual.copy(residual)
             energy, norm = new_energy, residual.norm()
@@ -122,6 +128,7 @@ class Newton:
             self._apply_inverse(snes, residual, direction)
             if not np.isfinite(direction.norm()):
                 break
+            self._limit(direction)
             self.problem.predict(y, direction)
             y.axpy(1.0, direction)
             snes.computeFunction(y, residual)
@@ -141,6 +148,41 @@ class Newton:
                 break
         start.copy(y)
         return False
+
+    def _leap(self, snes, y, direction, energy, trial, trial_residual) -> float:
+        """Where stretching cuts the line search short: the whole step and some mixed steps after it (a watchdog, as
+        Chamberlain et al. 1982). Leaves their end in trial if its potential is below `energy`, that of the line
+        search; else waits twice as long as before until the next leap. Returns the potential of trial."""
+        there, step, residual = y.duplicate(), direction.copy(), y.duplicate()
+        y.copy(there)
+        best = energy
+        for _ in range(LEAP):
+            self._limit(step)
+            self.problem.predict(there, step)
+            there.axpy(1.0, step)
+            new = self._energy(there)
+            if new < best:
+                best = new
+                there.copy(trial)
+                self.problem.residual(there, trial_residual)
+            elif best < energy:
+                break
+            self.problem.residual(there, residual)
+            if not np.isfinite(residual.norm()) or not self._factor(snes, there, "mixed"):
+                break
+            self._apply_inverse(snes, residual, step)
+        self._patience = 0 if best < energy else min(max(2 * self._patience, 1), 64)
+        self._rest = self._patience
+        return best
+
+    def _limit(self, direction: PETSc.Vec) -> None:
+        """Shortens a step that would move or turn something beyond what a linearisation can mean."""
+        largest = direction.norm(PETSc.NormType.INFINITY) / self._reach()
+        if largest > 1.0:
+            direction.scale(1.0 / largest)
+
+    def _reach(self) -> float:
+        return REACH * self.problem.size()
 
     def _test(self, snes, it, y, direction, norm):
         if not np.isfinite(norm):
@@ -232,15 +274,25 @@ class Newton:
             new = self._energy(trial)
             if np.isfinite(new):
                 decrease = new - energy
-                if problem.conservative and decrease <= SUFFICIENT * length * slope and -length * slope > noise:
+                if (
+                    problem.conservative
+                    and decrease <= SUFFICIENT * length * slope
+                    and -length * slope > noise
+                ):
                     problem.residual(trial, trial_residual)
                     return length, new
                 if not problem.conservative or decrease <= noise:
                     problem.residual(trial, trial_residual)
                     new_slope = trial_residual.dot(direction)
-                    if np.isfinite(new_slope) and self._flat_enough(new_slope, slope, trial_residual.norm(), norm):
+                    if np.isfinite(new_slope) and self._flat_enough(
+                        new_slope, slope, trial_residual.norm(), norm
+                    ):
                         return length, new
-                guess = -0.5 * slope * length**2 / (decrease - slope * length) if decrease > slope * length else 0.0
+                guess = (
+                    -0.5 * slope * length**2 / (decrease - slope * length)
+                    if decrease > slope * length
+                    else 0.0
+                )
                 length = min(max(guess, 0.1 * length), 0.5 * length)
             else:
                 length *= 0.25

@@ -22,7 +22,9 @@ def gap(shell: Shell) -> float:
     if not len(shell.slave):
         return 0.0
     x, w = shell.points, shell.weight[:, None]
-    return float(np.linalg.norm(x[shell.slave] - (1 - w) * x[shell.first] - w * x[shell.second], axis=1).max())
+    return float(
+        np.linalg.norm(x[shell.slave] - (1 - w) * x[shell.first] - w * x[shell.second], axis=1).max()
+    )
 
 
 def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:

@@ -12,7 +12,7 @@ from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
-FAST_CUTS = 3  # failures of the fast steps before the descent method takes over
+FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
 
 
 @dataclass
@@ -154,7 +154,9 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
     scale = problem.load_norm(y)
-    snes.setTolerances(rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=500)
+    snes.setTolerances(
+        rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=500
+    )
     snes.setFromOptions()
     snes.solve(None, y)
     path.seconds["linear_solve"] = newton.seconds
@@ -163,7 +165,12 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     if snes.getConvergedReason() <= 0:
         return None
     return LoadStep(
-        target, iterations, snes.getFunctionNorm(), snes.getTolerances()[1], problem.energies(y), newton.negative
+        target,
+        iterations,
+        snes.getFunctionNorm(),
+        snes.getTolerances()[1],
+        problem.energies(y),
+        newton.negative,
     )
 
 
