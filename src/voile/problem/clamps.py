@@ -10,12 +10,12 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     """What holds the directors of both sides of every clamped edge: (k, 5) rows of half edge, conormal flag,
     unit vector; and the director angles (edges,) of the start shape.
 
-    The director is that of the start shape (on an inner edge the bisector of the two normals). With all axes
-    of the edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge) what is held
-    is the director or the edge's in-plane normal, whichever lies along the supported axes. An edge in a plane
-    of symmetry keeps the angle at which the start shape meets that plane (triangles inscribed in a curved shell
-    never meet it at a right angle): the axis is held, the director angle makes up the difference, which needs
-    a model with directors. Raises InputError where nothing suits.
+    The director is that of the start shape (on an inner edge the bisector of the two normals). With all
+    axes of the edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge)
+    what is held is the director or the edge's in-plane normal, whichever lies along the supported axes. An
+    edge in a plane of symmetry keeps the angle at which the start shape meets that plane (triangles
+    inscribed in a curved shell never meet it at a right angle): the axis is held, the director angle makes
+    up the difference, which needs a model with directors. Raises InputError where nothing suits.
     """
     topology = shell.topology
     angles = np.zeros(len(topology.edges))
@@ -47,9 +47,10 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     if (slides & (loose > 1e-6)).any():
         k = np.flatnonzero(slides & (loose > 1e-6))[0]
         raise InputError(
-            f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither its "
-            "normal nor its in-plane normal lies along the supported axes; support all axes there, or only that "
-            "across a plane of symmetry that holds the edge (not at a right angle: bending = sin, tan or theta)"
+            f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither "
+            "its normal nor its in-plane normal lies along the supported axes; support all axes there, or only "
+            "that across a plane of symmetry that holds the edge (not at a right angle: bending = sin, tan, "
+            "theta)"
         )
     vector = np.where(use_conormal[:, None], conormal, director)
     return np.column_stack([half, use_conormal, vector]), angles
