@@ -48,9 +48,9 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
         k = np.flatnonzero(slides & (loose > 1e-6))[0]
         raise InputError(
             f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither "
-            "its normal nor its in-plane normal lies along the supported axes; support all axes there, or only "
-            "that across a plane of symmetry that holds the edge (not at a right angle: bending = sin, tan, "
-            "theta)"
+            "its normal nor its in-plane normal lies along the supported axes; support all axes there, or "
+            "only that across a plane of symmetry that holds the edge (not at a right angle: bending = sin, "
+            "tan or theta)"
         )
     vector = np.where(use_conormal[:, None], conormal, director)
     return np.column_stack([half, use_conormal, vector]), angles
