@@ -43,7 +43,7 @@ def state(step):
     n, m, e = len(START), len(TRIANGLES), len(EDGES)
     return {
         "value": 0.1 * step,
-        "points": START + [0, 0, step + 1],
+        "points": START + np.array([0, 0, step + 1]),
         "reaction": np.arange(3 * n).reshape(n, 3) + 100.0 * step,
         "contact": (np.arange(n) + step) % 3,
         "energy_density": np.arange(m) + 0.5 * step,

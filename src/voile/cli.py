@@ -199,7 +199,7 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     problem = Problem(shell, comm)
     part = problem.part
     mesh = None
-    if model:
+    if model is not None and shell is not None:
         mesh = StaticMesh(
             shell.points,
             shell.triangles,

@@ -97,7 +97,8 @@ def explain(scene: Scene, model: Model) -> str:
     factor = 24 * (displacement + angles) * max(np.log2(max(displacement + angles, 2)), 1.0)
     lines = [
         f"{scene.scene.name or scene.path}: {scene.scene.task}",
-        f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m ({model.surface.source})",
+        f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m",
+        f"file      {model.surface.source}",
         f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         "solver    Newton (mixed steps, then descent on the potential), MUMPS LDL^T; PETSc options after --",

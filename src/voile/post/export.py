@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,9 +45,13 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
                 f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
             )
         try:
-            {".obj": Result.write_obj, ".ply": write_ply, ".vtu": write_vtu, ".glb": write_glb}[kind](
-                result, out, step
-            )
+            writers: dict[str, Callable[[Result, Path, int], None]] = {
+                ".obj": Result.write_obj,
+                ".ply": write_ply,
+                ".vtu": write_vtu,
+                ".glb": write_glb,
+            }
+            writers[kind](result, out, step)
         except OSError as error:
             raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
     return out

@@ -16,7 +16,8 @@ class Constraints:
 
     matrix C (dofs, dofs): unit rows for unknowns, combinations of unknowns for what is sewn to them, empty rows for
     supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. gap (dofs,) is the displacement that closes
-    the seams of the start shape and the director angles of its clamps, lift (dofs,) the supports' at load factor 1, carried along the seams.
+    the seams of the start shape and the director angles of its clamps, lift (dofs,) the supports' displacement at load
+    factor 1, carried along the seams.
     """
 
     matrix: sp.csr_matrix

@@ -19,23 +19,23 @@ ENERGIES = ("stretching", "bending", "gravity", "pressure", "force")
 
 def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     """The part of each rank of a shell that rank 0 holds (None elsewhere). An error on rank 0 is raised on all."""
-    if comm.rank == 0:
-        try:
-            constraints = build_constraints(shell, directors)
-            clamps, angles = held_directors(shell, directors)
-            constraints.gap[3 * len(shell.points) :] = angles
-            numbering = number_unknowns(shell, constraints, comm.size)
-        except Exception as error:
-            comm.bcast(error)
-            raise
-        comm.bcast(None)
-        for rank in range(1, comm.size):
-            comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
-        return cut(shell, constraints, numbering, 0, clamps)
-    error = comm.bcast(None)
-    if error is not None:
-        raise error
-    return comm.recv(source=0)
+    if shell is None:
+        failure = comm.bcast(None)
+        if failure is not None:
+            raise failure
+        return comm.recv(source=0)
+    try:
+        constraints = build_constraints(shell, directors)
+        clamps, angles = held_directors(shell, directors)
+        constraints.gap[3 * len(shell.points) :] = angles
+        numbering = number_unknowns(shell, constraints, comm.size)
+    except Exception as failure:
+        comm.bcast(failure)
+        raise
+    comm.bcast(None)
+    for rank in range(1, comm.size):
+        comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
+    return cut(shell, constraints, numbering, 0, clamps)
 
 
 class Problem:
@@ -49,7 +49,7 @@ class Problem:
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
         self.comm = comm
         settings = None
-        if comm.rank == 0:
+        if shell is not None:
             follower = bool(shell.pressure and _free_rim(shell)) or shell.moment is not None
             settings = (
                 shell.model,
@@ -92,7 +92,7 @@ class Problem:
         self._own[part.owned_vertices] = True
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._make_vectors()
-        self._scatter: _kernels.Scatter | None = None
+        self._scatter: _kernels.Scatter
 
     # ---- layout ----
 

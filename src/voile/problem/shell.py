@@ -47,11 +47,10 @@ class Shell:
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
     closing: np.ndarray | None = None
-    topology: Topology | None = None
+    topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 
     def __post_init__(self) -> None:
-        if self.topology is None:
-            self.topology = build_topology(self.triangles)
+        self.topology = self.topology or build_topology(self.triangles)
         if len(self.slave):
             self.topology = _without_pockets(self)
 

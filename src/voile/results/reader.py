@@ -160,7 +160,7 @@ class Result:
         value = float(self.values[self._step(step)])
         return Restart(value, self.points(step), self.edge_angles(step), fields, self.scalars(step))
 
-    def write_obj(self, path: str | os.PathLike[str], step: int = -1) -> None:
+    def write_obj(self, path: str | Path, step: int = -1) -> None:
         """The shape of a step as OBJ with the mesh's groups. InputError if `path` cannot be written."""
         from voile.mesh import write_obj
 

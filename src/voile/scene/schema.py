@@ -3,7 +3,6 @@
 A table of the file is a frozen dataclass; a key is a field, declared by `key(kind, meaning, default=...)`.
 """
 
-# ruff: noqa: RUF009  (key() declares a field, it is no shared default)
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path

@@ -63,7 +63,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
     snes.destroy()
     own = problem.part.owned_vertices
     pieces = comm.gather((problem.part.vertex[own], u.reshape(-1, 3)[own]))
-    if shell is None:
+    if shell is None or pieces is None:
         return None
     closing = np.zeros_like(shell.points)
     for index, displacement in pieces:
