@@ -187,12 +187,12 @@ def test_fast_steps_and_descent_find_the_same_equilibrium(model):
         snes, newton = create_snes(problem, problem.create_matrix())
         newton.descend = not fast
         y = problem.create_vector()
-        snes.setTolerances(rtol=0.0, atol=1e-6 * problem.load_norm(y), stol=0.0, max_it=300)
+        snes.setTolerances(rtol=0.0, atol=1e-5 * problem.load_norm(y), stol=0.0, max_it=300)
         snes.solve(None, y)
         assert snes.getConvergedReason() > 0
         found.append((problem.energy(y), problem.local(y)[0], snes.getIterationNumber()))
         snes.destroy()
-    assert abs(found[0][0] - found[1][0]) < 1e-8 * abs(found[0][0])
+    assert abs(found[0][0] - found[1][0]) < 1e-7 * abs(found[0][0])
     assert abs(found[0][1] - found[1][1]).max() < 1e-5
     assert found[0][2] < 15
 
