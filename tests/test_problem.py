@@ -182,7 +182,10 @@ def test_fast_steps_and_descent_find_the_same_equilibrium(model):
     found = []
     for fast in (True, False):
         problem = Problem(
-            make_shell(points, triangles, model, young=2e10 * np.ones(len(triangles))), MPI.COMM_SELF
+            make_shell(
+                points, triangles, model, young=2e10 * np.ones(len(triangles)), gravity=np.array([0, 0, -2.0])
+            ),
+            MPI.COMM_SELF,
         )
         snes, newton = create_snes(problem, problem.create_matrix())
         newton.descend = not fast
