@@ -1,0 +1,312 @@
+"""Shells with known answers: the large displacements of Sze, Liu & Lo (2004, Finite Elem. Anal. Des. 40, 1551-1569)
+and inflated membranes. Builders return a Shell and the vertices where it is measured; cases return rows."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from membranes import inflated, sphere_pressure
+from mesh_helpers import generator
+from mpi4py import MPI
+
+from voile.elastic import model_name
+from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
+from voile.solver.statics import Path, StaticsOptions, require, solve_statics
+
+
+class Row(NamedTuple):
+    """One line of the verification table; error is relative unless the case says otherwise."""
+
+    name: str
+    mesh: str
+    computed: float
+    reference: float
+    error: float
+
+
+class Solution(NamedTuple):
+    """Displacements (n, 3) at the full load, the load path, CPU seconds from arrays to the solution."""
+
+    u: np.ndarray
+    path: Path
+    seconds: float
+
+
+def solve(shell: Shell, load_steps: int = 4) -> Solution:
+    """Equilibrium on one process; raises NotConverged."""
+    began = time.process_time()
+    problem = Problem(shell, MPI.COMM_SELF)
+    path = require(solve_statics(problem, StaticsOptions(load_steps=load_steps)))
+    u = np.zeros_like(shell.points)
+    u[problem.part.vertex] = problem.local(path.state)[0].reshape(-1, 3)
+    return Solution(u, path, time.process_time() - began)
+
+
+def row(name: str, mesh: str, computed: float, reference: float) -> Row:
+    return Row(name, mesh, float(computed), reference, abs(float(computed) / reference - 1.0))
+
+
+def rates(rows: list[Row], sizes: list[float]) -> list[float]:
+    """Observed order between consecutive meshes with sizes falling."""
+    errors = np.log([r.error for r in rows])
+    return list(np.diff(errors) / np.diff(np.log(sizes)))
+
+
+def make(
+    points, triangles, fixed, clamped, *, thickness, young, poisson, model="koiter", bending="tan", **given
+):
+    """A Shell of one fabric at rest where it starts; clamped: masks (n,) of lines of vertices whose edges are held."""
+    one = np.ones(len(triangles))
+    shell = Shell(
+        points=points,
+        triangles=triangles.astype(np.int32),
+        rest_points=points,
+        rest_triangles=triangles.astype(np.int32),
+        flat=bool(np.ptp(points[:, 2]) == 0.0),
+        model=model_name(model, bending, given.pop("material", "stvk")),
+        thickness=thickness * one,
+        young=young * one,
+        poisson=poisson * one,
+        density=1000.0 * one,
+        fixed=fixed,
+        motion=np.zeros_like(points),
+        **given,
+    )
+    edges = shell.topology.edges
+    held = [line[edges].all(axis=1) for line in clamped]
+    shell.clamped_edges = (
+        np.flatnonzero(np.any(held, axis=0)).astype(np.int32) if held else np.zeros(0, np.int32)
+    )
+    return shell
+
+
+def mapped(
+    nu: int, nv: int, diagonals: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """u, v (n,) in [0, 1], triangles, and masks of the four sides u0, u1, v0, v1 of a grid."""
+    uv, triangles = generator("patterns").grid(nu, nv, diagonals)
+    u, v = uv.T
+    return u, v, triangles, {"u0": u < 1e-9, "u1": u > 1 - 1e-9, "v0": v < 1e-9, "v1": v > 1 - 1e-9}
+
+
+def only(mask: np.ndarray) -> int:
+    (vertex,) = np.flatnonzero(mask)
+    return int(vertex)
+
+
+def slit_annulus(radial: int, around: int, diagonals: str = "crossed", load: float = 1.0):
+    """Shell, inner and outer vertex of the loaded lip; line force 0.8 per length times `load`, other lip clamped."""
+    u, v, triangles, side = mapped(radial, around, diagonals)
+    radius, angle = 6.0 + 4.0 * u, 2.0 * np.pi * v
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(len(u))])
+    lip = np.flatnonzero(side["v0"])
+    lip = lip[np.argsort(radius[lip])]
+    half = 0.5 * np.diff(radius[lip])
+    force = np.zeros_like(points)
+    force[lip[:-1], 2] += 0.8 * load * half
+    force[lip[1:], 2] += 0.8 * load * half
+    fixed = np.repeat(side["v1"][:, None], 3, axis=1)
+    shell = make(points, triangles, fixed, [side["v1"]], thickness=0.03, young=21e6, poisson=0.0, force=force)
+    return shell, lip[0], lip[-1]
+
+
+def pulled_cylinder(around: int, along: int, diagonals: str = "right", load: float = 1.0):
+    """Shell (an eighth) and its points A under the force, B at 90 degrees, C at the free end above B."""
+    u, v, triangles, side = mapped(around, along, diagonals)
+    angle, radius = 0.5 * np.pi * u, 4.953
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.5 * 10.35 * v])
+    points[side["u1"], 0] = 0.0
+    fixed = np.column_stack([side["u1"], side["u0"], side["v0"]])
+    a, b, c = only(side["u0"] & side["v0"]), only(side["u1"] & side["v0"]), only(side["u1"] & side["v1"])
+    force = np.zeros_like(points)
+    force[a, 0] = 40000.0 / 4.0 * load
+    planes = [side["u0"], side["u1"], side["v0"]]
+    shell = make(points, triangles, fixed, planes, thickness=0.094, young=10.5e6, poisson=0.3125, force=force)
+    return shell, a, b, c
+
+
+def pinched_hemisphere(around: int, up: int, diagonals: str = "right", bending: str = "tan"):
+    """Shell (a quarter) and the vertices pulled outward (x axis) and pushed inward (y axis)."""
+    u, v, triangles, side = mapped(around, up, diagonals)
+    polar, angle = np.radians(90.0 - 72.0 * v), 0.5 * np.pi * u
+    points = 10.0 * np.column_stack(
+        [np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)]
+    )
+    points[side["u1"], 0] = 0.0
+    fixed = np.column_stack([side["u1"], side["u0"], np.zeros(len(u), dtype=bool)])
+    pulled, pushed = only(side["u0"] & side["v0"]), only(side["u1"] & side["v0"])
+    fixed[pulled, 2] = True  # against sliding up as a whole
+    force = np.zeros_like(points)
+    force[pulled, 0], force[pushed, 1] = 200.0, -200.0
+    planes = [side["u0"], side["u1"]]
+    shell = make(
+        points,
+        triangles,
+        fixed,
+        planes,
+        thickness=0.04,
+        young=6.825e7,
+        poisson=0.3,
+        bending=bending,
+        force=force,
+    )
+    return shell, pulled, pushed
+
+
+def sphere_octant(n: int, thickness: float, pressure: float, model: str, material: str):
+    """An eighth of the unit sphere on its planes of symmetry, n edges a side; E = 1e6, nu = 0.3."""
+    place = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
+    number = {ij: k for k, ij in enumerate(place)}
+    up = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i, j in place if i + j < n]
+    down = [(number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]) for i, j in place if i + j < n - 1]
+    points = np.array([(i, j, n - i - j) for i, j in place]) / n
+    fixed = points == 0.0
+    points = np.sin(0.5 * np.pi * points)
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    planes = list(fixed.T) if model == "koiter" else []
+    return make(
+        points,
+        np.array(up + down),
+        fixed,
+        planes,
+        thickness=thickness,
+        young=1e6,
+        poisson=0.3,
+        model=model,
+        material=material,
+        pressure=pressure,
+    )
+
+
+def inflated_cap(size: float, pressure: float, model: str):
+    """Cap of the unit sphere, 30 degrees from pole to rim, pinned at the rim; E = 1e6, nu = 0.3, h = 1e-3."""
+    points, triangles = generator("spherical_cap").spherical_cap(1.0, 30.0, size)
+    fixed = np.repeat((points[:, 2] < 1e-9)[:, None], 3, axis=1)
+    shell = make(
+        points, triangles, fixed, [], thickness=1e-3, young=1e6, poisson=0.3, model=model, pressure=pressure
+    )
+    return shell, only(np.hypot(*points[:, :2].T) < 1e-9)
+
+
+ANNULUS_LIMIT = 13.85, 17.48  # inner, outer: NGSolve's nonlinear Kirchhoff-Love shell, refined
+ANNULUS_PATH = {0.1: (4.277, 5.876), 0.5: (10.468, 13.768), 1.0: (13.891, 17.528)}  # Sze, Liu & Lo 2004
+CYLINDER_PATH = {
+    0.25: (2.18, 3.087, 3.31),
+    0.5: (2.473, 3.653, 3.718),
+    1.0: (2.768, 4.551, 3.269),
+}  # the same
+CYLINDER_LIMIT = 2.736, 4.554, 3.287  # A, B, C: NGSolve's nonlinear Kirchhoff-Love shell, its finest mesh
+HEMISPHERE = 4.067, 8.178  # outward, inward: the same
+HEMISPHERE_LIMIT = 4.073, 8.143  # NGSolve, refined
+
+
+def annulus_path() -> list[Row]:
+    """Slit annular plate against the published path."""
+    rows = []
+    for load, published in ANNULUS_PATH.items():
+        shell, inner, outer = slit_annulus(8, 96, load=load)
+        u = solve(shell).u
+        for name, at, value in zip(("inner", "outer"), (inner, outer), published, strict=True):
+            rows.append(
+                row(f"slit annulus, {name} lift at {load:g} of the load", "8x96 crossed", u[at, 2], value)
+            )
+    return rows
+
+
+def annulus_refined(meshes=((3, 24), (6, 48), (12, 96))) -> list[Row]:
+    """The inner lift on finer and finer meshes against NGSolve's limit."""
+    rows = []
+    for n in meshes:
+        shell, inner, _ = slit_annulus(*n)
+        name = f"{n[0]}x{n[1]} crossed"
+        rows.append(row("slit annulus, inner lift", name, solve(shell).u[inner, 2], ANNULUS_LIMIT[0]))
+    return rows
+
+
+def cylinder_path() -> list[Row]:
+    """Open cylinder pulled out against the published path, before and after it snaps near 0.515 of the load."""
+    rows = []
+    for load, published in CYLINDER_PATH.items():
+        shell, a, b, c = pulled_cylinder(24, 24, load=load)
+        u = solve(shell).u
+        measured = u[a, 0], -u[b, 1], -u[c, 1]
+        for name, value, expected in zip(
+            ("A outward", "B inward", "C inward"), measured, published, strict=True
+        ):
+            rows.append(
+                row(f"pulled cylinder, {name} at {load:g} of the load", "24x24 right", value, expected)
+            )
+    return rows
+
+
+def cylinder_end() -> list[Row]:
+    """Open cylinder at its full load against a Kirchhoff-Love program (the published values allow shear)."""
+    shell, a, b, c = pulled_cylinder(24, 24)
+    u = solve(shell).u
+    measured = zip(
+        ("A outward", "B inward", "C inward"), (u[a, 0], -u[b, 1], -u[c, 1]), CYLINDER_LIMIT, strict=True
+    )
+    return [row(f"pulled cylinder, {name}", "24x24 right", value, limit) for name, value, limit in measured]
+
+
+def hemisphere_refined(meshes=(16, 32, 64), diagonals: str = "crossed") -> list[Row]:
+    """Pushed point of the hemisphere against NGSolve's limit."""
+    rows = []
+    for n in meshes:
+        shell, _, pushed = pinched_hemisphere(n, n, diagonals)
+        value = -solve(shell).u[pushed, 1]
+        rows.append(row("pinched hemisphere, inward", f"{n}x{n} {diagonals}", value, HEMISPHERE_LIMIT[1]))
+    return rows
+
+
+def hemisphere_published() -> list[Row]:
+    """Both points of the hemisphere against the published values."""
+    shell, pulled, pushed = pinched_hemisphere(24, 24)
+    u = solve(shell).u
+    return [
+        row("pinched hemisphere, outward", "24x24 right", u[pulled, 0], HEMISPHERE[0]),
+        row("pinched hemisphere, inward", "24x24 right", -u[pushed, 1], HEMISPHERE[1]),
+    ]
+
+
+def sphere_refined(
+    model: str, material: str, thickness: float, stretch: float, meshes=(4, 8, 16)
+) -> list[Row]:
+    """Radius of an inflated sphere against its closed form."""
+    rows = []
+    pressure = sphere_pressure(stretch, thickness, material, bends=model == "koiter")
+    for n in meshes:
+        shell = sphere_octant(n, thickness, pressure, model, material)
+        radius = np.linalg.norm(shell.points + solve(shell).u, axis=1).mean()
+        name = f"inflated sphere, radius ({model}, {material}, h/R = {thickness:g})"
+        rows.append(row(name, f"octant, {n} edges a side", radius, stretch))
+    return rows
+
+
+def cap_refined(model: str, meshes=(6, 12, 24)) -> list[Row]:
+    """Height of an inflated cap against the membrane solution."""
+    rows = []
+    pressure = 0.1 * 1e6 * 1e-3  # a tenth of E h / R
+    _, height = inflated(0.1, 1.0, np.pi / 6)
+    for rings in meshes:
+        shell, pole = inflated_cap(np.pi / 6 / rings, pressure, model)
+        value = shell.points[pole, 2] + solve(shell).u[pole, 2]
+        rows.append(row(f"inflated cap, height ({model})", f"{rings} rings", value, height))
+    return rows
+
+
+CASES: dict[str, Callable[[], list[Row]]] = {
+    "slit annulus: load path": annulus_path,
+    "slit annulus: refinement": annulus_refined,
+    "pulled cylinder: load path": cylinder_path,
+    "pulled cylinder: full load": cylinder_end,
+    "pinched hemisphere: published": hemisphere_published,
+    "pinched hemisphere: refinement": hemisphere_refined,
+    "inflated sphere: membrane, stvk": lambda: sphere_refined("membrane", "stvk", 1e-3, 1.5),
+    "inflated sphere: membrane, neo-hookean": lambda: sphere_refined("membrane", "neo-hookean", 1e-3, 1.2),
+    "inflated sphere: thin koiter": lambda: sphere_refined("koiter", "stvk", 1e-4, 1.5),
+    "inflated cap: membrane": lambda: cap_refined("membrane"),
+    "inflated cap: koiter": lambda: cap_refined("koiter"),
+}
