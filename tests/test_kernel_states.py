@@ -161,7 +161,7 @@ def test_discrete_curvature_converges(surface, bending):
 
 
 def equilateral_cylinder(around, along, radius=1.0):
-    """A closed cylinder about z of (nearly) equilateral triangles in `along` rows: points, triangles, side."""
+    """A closed cylinder about z of nearly equilateral triangles in `along` rows: points, triangles, side"""
     edge = 2 * radius * np.sin(np.pi / around)
     row, k = np.divmod(np.arange((along + 1) * around), around)
     angle = 2 * np.pi * (k + 0.5 * (row % 2)) / around

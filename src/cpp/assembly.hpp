@@ -184,36 +184,56 @@ inline void store_jacobian(const Block& block, const Local& w, bool angles, bool
   }
 }
 
-// Projects symmetric 6x6 matrices (upper triangles) on the positive semidefinite cone: cyclic Jacobi
-// rotations in a basis scaled by the diagonal, negative eigenvalues set to zero.
+// Whether symmetric matrices are positive definite by a margin, in every lane: the pivots of L D L^T.
+template <int N>
+inline bool positive(const Real matrix[N][N]) {
+  Real a[N][N];
+  std::memcpy(a, matrix, sizeof a);
+  Mask all = Mask{} == 0;
+  for (int k = 0; k < N; ++k) {
+    all &= a[k][k].p > 1e-10;
+    for (int i = k + 1; i < N; ++i) {
+      Real factor = a[k][i] / a[k][k];
+      for (int j = i; j < N; ++j) a[i][j] -= factor * a[k][j];
+    }
+  }
+  return !any(~all);
+}
+
+// Projects the leading NxN part of W_qq on the positive semidefinite cone: cyclic Jacobi rotations in a basis
+// scaled by the diagonal, negative eigenvalues set to zero.
+template <int N>
 inline void project_positive(Real h[21]) {
-  Real a[6][6], v[6][6], scale[6];
-  for (int i = 0; i < 6; ++i) {
+  Real a[N][N], v[N][N], scale[N];
+  for (int i = 0; i < N; ++i) {
     Real d = h[upper(i, i)];
     scale[i] = sqrt(max(max(d, -d), Real(1e-300)));
   }
-  for (int i = 0; i < 6; ++i)
-    for (int j = 0; j < 6; ++j) {
+  for (int i = 0; i < N; ++i)
+    for (int j = 0; j < N; ++j) {
       a[i][j] = h[upper(i, j)] / (scale[i] * scale[j]);
       v[i][j] = i == j ? 1.0 : 0.0;
     }
-  for (int sweep = 0; sweep < 7; ++sweep)
-    for (int p = 0; p < 5; ++p)
-      for (int q = p + 1; q < 6; ++q) {
+  if (positive<N>(a)) return;
+  for (int sweep = 0; sweep < 8; ++sweep) {
+    Mask left = Mask{} != 0;  // lanes with an entry off the diagonal that counts
+    for (int p = 0; p < N - 1; ++p)
+      for (int q = p + 1; q < N; ++q) {
         Real off = a[p][q];
-        Mask small = (off.p < 1e-30) & (off.p > -1e-30);
+        Mask small = (off.p < 1e-16) & (off.p > -1e-16);
+        left |= ~small;
         Real ratio = (a[q][q] - a[p][p]) / (Real(2.0) * select(small, Real(1.0), off));
         Real size = max(ratio, -ratio);
         Real tangent = Real(1.0) / (size + sqrt(ratio * ratio + Real(1.0)));
         tangent = select(ratio.p < 0.0, -tangent, tangent);
         tangent = select(small, Real(0.0), tangent);
         Real c = Real(1.0) / sqrt(tangent * tangent + Real(1.0)), s = tangent * c;
-        for (int k = 0; k < 6; ++k) {
+        for (int k = 0; k < N; ++k) {
           Real x = a[k][p], y = a[k][q];
           a[k][p] = c * x - s * y;
           a[k][q] = s * x + c * y;
         }
-        for (int k = 0; k < 6; ++k) {
+        for (int k = 0; k < N; ++k) {
           Real x = a[p][k], y = a[q][k];
           a[p][k] = c * x - s * y;
           a[q][k] = s * x + c * y;
@@ -222,10 +242,12 @@ inline void project_positive(Real h[21]) {
           v[k][q] = s * x + c * y;
         }
       }
-  for (int i = 0; i < 6; ++i)
-    for (int j = i; j < 6; ++j) {
+    if (!any(left)) break;
+  }
+  for (int i = 0; i < N; ++i)
+    for (int j = i; j < N; ++j) {
       Real sum = 0.0;
-      for (int k = 0; k < 6; ++k) sum += max(a[k][k], Real(0.0)) * v[i][k] * v[j][k];
+      for (int k = 0; k < N; ++k) sum += max(a[k][k], Real(0.0)) * v[i][k] * v[j][k];
       h[upper(i, j)] = sum * scale[i] * scale[j];
     }
 }

@@ -158,7 +158,7 @@ class ElasticModel final : public Elastic {
       Real tension[3];
       for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
       if (safe) {
-        project_positive(jet.h);
+        project_positive<Model::bends ? 6 : 3>(jet.h);
         for (auto& t : tension) t = max(t, Real(0.0));
       }
       if constexpr (Model::bends) {

@@ -111,22 +111,23 @@ struct Scatter {
       in[r] = inside.value + inside.start[row + r];
       if (outside.start) out[r] = outside.value + outside.start[row + r];
     }
-    for (int b = 0; b < 6; ++b)
-      add_block<L, R, 3>(in, out, place[b], source + BLOCKS.start[a][b] * L, a <= b);
-    for (int b = 6; b < nodes; ++b)
-      add_block<L, R, 1>(in, out, place[b], source + BLOCKS.start[a][b] * L, a <= b);
+    for (int b = 0; b < 6; ++b, ++place)
+      add_block<L, R, 3>(in, out, *place, source + BLOCKS.start[a][b] * L, a <= b);
+    for (int b = 6; b < nodes; ++b, ++place)
+      add_block<L, R, 1>(in, out, *place, source + BLOCKS.start[a][b] * L, a <= b);
   }
   template <int L, int R, int C>
-  static void add_block(double* const* in, double* const* out, int at, const double* source, bool upper) {
+  static inline __attribute__((always_inline)) void add_block(double* const* in, double* const* out, int at,
+                                                              const double* source, bool upper) {
     if (at == ABSENT) return;
     double* const* rows = at >= 0 ? in : out;
     if (at < 0) at = ~at;
-    if (upper)
-      for (int r = 0; r < R; ++r)
-        for (int c = 0; c < C; ++c) rows[r][at + c] += source[(r * C + c) * L];
-    else
-      for (int r = 0; r < R; ++r)
-        for (int c = 0; c < C; ++c) rows[r][at + c] += source[(c * R + r) * L];
+    const int down = (upper ? C : 1) * L, along = (upper ? 1 : R) * L;  // the block as stored or transposed
+    double v[R][C];
+    for (int r = 0; r < R; ++r)
+      for (int c = 0; c < C; ++c) v[r][c] = rows[r][at + c] + source[r * down + c * along];
+    for (int r = 0; r < R; ++r)
+      for (int c = 0; c < C; ++c) rows[r][at + c] = v[r][c];
   }
   void zero(int begin, int end);
   void order_rows();
