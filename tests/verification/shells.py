@@ -32,6 +32,7 @@ class Solution(NamedTuple):
     u: np.ndarray
     path: Path
     seconds: float
+    triangles: int
 
 
 def solve(shell: Shell, load_steps: int = 4) -> Solution:
@@ -41,7 +42,7 @@ def solve(shell: Shell, load_steps: int = 4) -> Solution:
     path = require(solve_statics(problem, StaticsOptions(load_steps=load_steps)))
     u = np.zeros_like(shell.points)
     u[problem.part.vertex] = problem.local(path.state)[0].reshape(-1, 3)
-    return Solution(u, path, time.process_time() - began)
+    return Solution(u, path, time.process_time() - began, len(shell.triangles))
 
 
 def row(name: str, mesh: str, computed: float, reference: float) -> Row:
