@@ -91,6 +91,7 @@ class Problem:
         self._own = np.zeros(len(part.vertex), dtype=bool)
         self._own[part.owned_vertices] = True
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
+        self._length = self._measure()
         self._make_vectors()
         self._scatter: _kernels.Scatter
 
@@ -255,6 +256,11 @@ class Problem:
 
     # ---- scales ----
 
+    def largest_motion(self, direction: PETSc.Vec) -> float:
+        """Largest displacement component of a direction of the unknowns over the shell's size."""
+        u, _ = self._spread(direction)
+        return float(self.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)) / self._length
+
     def thickness(self) -> float:
         """Mean thickness (m)."""
         part = self.part
@@ -263,6 +269,9 @@ class Problem:
 
     def size(self) -> float:
         """Diagonal of the start shape's bounding box (m)."""
+        return self._length
+
+    def _measure(self) -> float:
         low = self.comm.allreduce(self.part.points.min(axis=0, initial=np.inf), op=_minimum)
         high = self.comm.allreduce(self.part.points.max(axis=0, initial=-np.inf), op=_maximum)
         return float(np.linalg.norm(high - low))

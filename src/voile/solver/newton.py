@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from voile.problem.discrete import Problem
 
 SUFFICIENT = 1e-4  # fraction of the predicted decrease that a step must reach (Armijo)
-REACH = 0.2  # longest full step over the size of the shell
+REACH = 0.2  # longest full step: displacement over the size of the shell
 LEAP = 5  # mixed steps of a leap
 SHORTEST = 1e-10  # relative step length at which the line search gives up
 PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
@@ -177,12 +177,9 @@ class Newton:
 
     def _limit(self, direction: PETSc.Vec) -> None:
         """Shortens a step that would move or turn something beyond what a linearisation can mean."""
-        largest = direction.norm(PETSc.NormType.INFINITY) / self._reach()
-        if largest > 1.0:
-            direction.scale(1.0 / largest)
-
-    def _reach(self) -> float:
-        return REACH * self.problem.size()
+        largest = self.problem.largest_motion(direction)
+        if largest > REACH:
+            direction.scale(REACH / largest)
 
     def _test(self, snes, it, y, direction, norm):
         if not np.isfinite(norm):
