@@ -192,6 +192,8 @@ def test_a_replaced_table_is_the_overrides_fault(tmp_path):
     ("override", "message"),
     [
         ("shell.young", "--set shell.young: allowed: key=value"),
+        ("scene.name=a\nb", "--set 'scene.name=a\\nb': a line break or control character"),
+        ("scene.name=\x07", "--set 'scene.name=\\x07': a line break or control character"),
         ("shell..young=1", "--set shell..young=1: allowed: key=value"),
         ("shell.yuong=1", '--set shell.yuong=1: shell.yuong: unknown key (did you mean "young"?)'),
         (

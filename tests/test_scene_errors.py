@@ -74,6 +74,11 @@ def test_a_key_in_the_wrong_table_is_told_its_own(tmp_path):
     assert "belongs" not in refusal(tmp_path, SHELL + "colour = 1")
 
 
+def test_a_key_with_a_line_break_stays_on_one_line(tmp_path):
+    message = refusal(tmp_path, SHELL + '"a\\nb" = 1')
+    assert message.startswith(r"scene.toml, line 7: shell.'a\nb': unknown key")
+
+
 # What follows SHELL, "; " for a new line | start of the message after the file; SHELL ends on line 6.
 FORMS = """
 [[fix]]; axes = 'x' | , line 7: fix.0: the key "select" is missing: vertices: nodes

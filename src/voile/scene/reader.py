@@ -39,15 +39,21 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     try:
         scene = Table(Scene).read(tree)
     except Rejected as error:
-        name, problem = ".".join(map(str, error.path)), error.problem
+        name, problem = ".".join(map(_shown, error.path)), error.problem
         if error.unknown and (tables := homes(str(error.path[-1]))):
             problem += f" (it belongs in {' or '.join(tables)})"
         place = next((places[at] for at in _prefixes(error.path) if at in places), str(path))
         raise InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}") from None
     if overrides and not text.endswith("\n"):
         text += "\n"
-    text += "".join(f"# --set {' '.join(override.split())}\n" for override in overrides)
+    text += "".join(f"# --set {override}\n" for override in overrides)
     return dataclasses.replace(_absolute(scene, path.parent), text=text, path=path)
+
+
+def _shown(part: str | int) -> str:
+    """A key or index in a message: quoted keys of TOML may hold line breaks."""
+    text = str(part)
+    return text if text.isprintable() else repr(text)
 
 
 def _read_text(path: Path) -> str:
@@ -140,6 +146,10 @@ def _prefixes(path: KeyPath) -> Iterator[KeyPath]:
 
 def _apply(tree: dict[str, Any], override: str) -> KeyPath:
     """Sets one key=value in the tree; returns the path of what is new, the key or a table made for it."""
+    if not override.isprintable():  # it becomes one line of messages and of the scene's text
+        raise InputError(
+            f"--set {override!r}: a line break or control character; allowed: one printable line"
+        )
     name, equals, value = override.partition("=")
     parts = [part.strip() for part in name.split(".")]
     if not equals or not all(parts):
