@@ -312,3 +312,14 @@ if __name__ == "__main__":
     made = write(sys.argv[1], MPI.COMM_WORLD, int(sys.argv[2]))
     if MPI.COMM_WORLD.rank == 0:
         print(f"parallel={made.parallel}")
+
+
+def test_an_error_in_the_first_step_is_the_one_that_is_raised(tmp_path):
+    mesh = StaticMesh(START, TRIANGLES)
+    with (
+        pytest.raises(ValueError) as caught,
+        ResultWriter(tmp_path / "result.vtkhdf", MPI.COMM_SELF, mesh=mesh) as writer,
+    ):
+        writer.write_step(1.0, START[:-1], np.arange(len(START) - 1))
+    assert not isinstance(caught.value, OSError)
+    assert not (tmp_path / "result.vtkhdf").exists()

@@ -19,7 +19,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     """
     topology = shell.topology
     angles = np.zeros(len(topology.edges))
-    if not len(shell.clamped_edges):
+    if not len(shell.clamped_edges) or shell.model.startswith("membrane"):  # a membrane does not bend
         return np.zeros((0, 5)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True

@@ -114,7 +114,8 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     edges = len(topology.edges)
     triangles = _needed_triangles(shell, constraints, numbering, rank)
     corners = shell.triangles[triangles]
-    vertex = np.unique(corners)
+    # with the vertices that belong to no triangle (theirs vanished in a seam): somebody must write them
+    vertex = np.union1d(corners, np.flatnonzero(numbering.node_owner[:n] == rank))
     edge = np.unique(topology.triangle_edges[triangles])
     dofs = np.concatenate([(3 * vertex[:, None] + np.arange(3)).ravel(), 3 * n + edge])
     rows = constraints.matrix[dofs]

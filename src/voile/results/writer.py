@@ -180,7 +180,7 @@ class ResultWriter:
 
     def close(self) -> None:
         """Close the file, cut to the steps it holds. Collective; a second call does nothing."""
-        if self._stepped and self._capacity != self.steps:
+        if self.steps and self._stepped and self._capacity != self.steps:
             self._rebuild(self.steps)
         if self._file is not None:
             self._file.close()
