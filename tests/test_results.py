@@ -306,14 +306,6 @@ def kill_self(path, seconds):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-if __name__ == "__main__":
-    if len(sys.argv) > 3:
-        threading.Thread(target=kill_self, args=(Path(sys.argv[1]), float(sys.argv[3])), daemon=True).start()
-    made = write(sys.argv[1], MPI.COMM_WORLD, int(sys.argv[2]))
-    if MPI.COMM_WORLD.rank == 0:
-        print(f"parallel={made.parallel}")
-
-
 def test_an_error_in_the_first_step_is_the_one_that_is_raised(tmp_path):
     mesh = StaticMesh(START, TRIANGLES)
     with (
@@ -323,3 +315,11 @@ def test_an_error_in_the_first_step_is_the_one_that_is_raised(tmp_path):
         writer.write_step(1.0, START[:-1], np.arange(len(START) - 1))
     assert not isinstance(caught.value, OSError)
     assert not (tmp_path / "result.vtkhdf").exists()
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 3:
+        threading.Thread(target=kill_self, args=(Path(sys.argv[1]), float(sys.argv[3])), daemon=True).start()
+    made = write(sys.argv[1], MPI.COMM_WORLD, int(sys.argv[2]))
+    if MPI.COMM_WORLD.rank == 0:
+        print(f"parallel={made.parallel}")

@@ -102,15 +102,30 @@ def slit_annulus(radial: int, around: int, diagonals: str = "crossed", load: flo
     u, v, triangles, side = mapped(radial, around, diagonals)
     radius, angle = 6.0 + 4.0 * u, 2.0 * np.pi * v
     points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(len(u))])
-    lip = np.flatnonzero(side["v0"])
-    lip = lip[np.argsort(radius[lip])]
-    half = 0.5 * np.diff(radius[lip])
+    return lifted_lip(points, triangles, side["v0"], side["v1"], load=load)
+
+
+def lifted_lip(points, triangles, loaded, clamped, bending: str = "tan", load: float = 1.0):
+    """The annular plate with its force along one lip; shell, inner and outer vertex of that lip."""
+    lip = np.flatnonzero(loaded)
+    lip = lip[np.argsort(points[lip, 0])]
+    half = 0.5 * np.diff(points[lip, 0])
     force = np.zeros_like(points)
     force[lip[:-1], 2] += 0.8 * load * half
     force[lip[1:], 2] += 0.8 * load * half
-    fixed = np.repeat(side["v1"][:, None], 3, axis=1)
-    shell = make(points, triangles, fixed, [side["v1"]], thickness=0.03, young=21e6, poisson=0.0, force=force)
+    fixed = np.repeat(clamped[:, None], 3, axis=1)
+    fabric = {"thickness": 0.03, "young": 21e6, "poisson": 0.0}
+    shell = make(points, triangles, fixed, [clamped], bending=bending, force=force, **fabric)
     return shell, lip[0], lip[-1]
+
+
+def irregular_annulus(size: float, bending: str):
+    """The slit annular plate on an unstructured mesh; as slit_annulus."""
+    points, triangles = generator("slit_annulus").slit_annulus(size=size, irregular=True)
+    cut = (np.abs(points[:, 1]) < 1e-9) & (points[:, 0] > 0.0)
+    above = np.zeros(len(points), dtype=bool)
+    above[triangles[points[triangles].mean(axis=1)[:, 1] > 0.0]] = True
+    return lifted_lip(points, triangles, cut & above, cut & ~above, bending=bending)
 
 
 def pulled_cylinder(around: int, along: int, diagonals: str = "right", load: float = 1.0):
@@ -166,12 +181,11 @@ def sphere_octant(n: int, thickness: float, pressure: float, model: str, materia
     fixed = points == 0.0
     points = np.sin(0.5 * np.pi * points)
     points /= np.linalg.norm(points, axis=1)[:, None]
-    planes = list(fixed.T) if model == "koiter" else []
     return make(
         points,
         np.array(up + down),
         fixed,
-        planes,
+        list(fixed.T),
         thickness=thickness,
         young=1e6,
         poisson=0.3,
@@ -223,6 +237,16 @@ def annulus_refined(meshes=((3, 24), (6, 48), (12, 96))) -> list[Row]:
         shell, inner, _ = slit_annulus(*n)
         name = f"{n[0]}x{n[1]} crossed"
         rows.append(row("slit annulus, inner lift", name, solve(shell).u[inner, 2], ANNULUS_LIMIT[0]))
+    return rows
+
+
+def annulus_irregular(bending: str, sizes=(1.0, 0.5, 0.25)) -> list[Row]:
+    """The inner lift on unstructured meshes (gmsh)."""
+    rows = []
+    for size in sizes:
+        shell, inner, _ = irregular_annulus(size, bending)
+        name = f"slit annulus, inner lift ({bending})"
+        rows.append(row(name, f"irregular, edges {size:g}", solve(shell).u[inner, 2], ANNULUS_LIMIT[0]))
     return rows
 
 
@@ -301,6 +325,8 @@ def cap_refined(model: str, meshes=(6, 12, 24)) -> list[Row]:
 CASES: dict[str, Callable[[], list[Row]]] = {
     "slit annulus: load path": annulus_path,
     "slit annulus: refinement": annulus_refined,
+    "slit annulus: irregular meshes": lambda: annulus_irregular("tan"),
+    "slit annulus: irregular meshes, average": lambda: annulus_irregular("average"),
     "pulled cylinder: load path": cylinder_path,
     "pulled cylinder: full load": cylinder_end,
     "pinched hemisphere: published": hemisphere_published,

@@ -6,6 +6,7 @@ from membranes import inflated
 from mpi4py import MPI
 from shells import (
     HEMISPHERE_LIMIT,
+    annulus_irregular,
     annulus_path,
     annulus_refined,
     cap_refined,
@@ -35,6 +36,14 @@ def test_slit_annulus_converges():
     rows = annulus_refined()
     assert rows[-1].error < 0.006
     assert min(rates(rows, [4.0, 2.0, 1.0])) > 1.2
+
+
+@pytest.mark.parametrize("bending, bound", [("tan", 0.015), ("average", 0.03)])
+def test_slit_annulus_on_irregular_meshes(bending, bound):
+    """Only these serve bending = average: on meshes of repeated cells its limit depends on the diagonals."""
+    pytest.importorskip("gmsh", reason="irregular meshes need gmsh (pip install gmsh)")
+    coarse, fine = annulus_irregular(bending, sizes=(1.0, 0.5))
+    assert fine.error < bound and fine.error < 0.8 * coarse.error
 
 
 @pytest.mark.slow
