@@ -6,8 +6,8 @@
 
 namespace voile {
 
-#define VOILE_BUILD(isa) \
-  namespace isa {        \
+#define VOILE_BUILD(isa)                                                     \
+  namespace isa {                                                            \
   std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh); \
   }
 VOILE_BUILD(baseline)
@@ -27,7 +27,8 @@ std::string instruction_set() {
   if (has2 && (name.empty() || name == "avx2")) return "avx2";
 #endif
   if (name.empty() || name == "baseline") return "baseline";
-  throw std::invalid_argument("VOILE_ISA=" + name + " is not available here; allowed: baseline, avx2, avx512");
+  throw std::invalid_argument("VOILE_ISA=" + name +
+                              " is not available here; allowed: baseline, avx2, avx512");
 }
 
 std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh) {

@@ -1,4 +1,5 @@
-// Elastic energy of a triangle mesh: what Python and the assembly see of a model, whatever the instruction set.
+// Elastic energy of a triangle mesh: what Python and the assembly see of a model, whatever the instruction
+// set.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +11,8 @@ namespace voile {
 
 struct Scatter;
 
-// A mesh as one rank holds it. Corner i of a triangle is opposite its edge i; half edge = 3*triangle + corner.
+// A mesh as one rank holds it. Corner i of a triangle is opposite its edge i; half edge = 3*triangle +
+// corner.
 struct Mesh {
   int vertices = 0, edges = 0, triangles = 0;
   std::vector<int> corner;    // (3m) vertices
@@ -28,9 +30,9 @@ struct Clamp {
   double vector[3];
 };
 
-// exact; safe: positive semidefinite; mixed: exact but for the stresses of its geometric part, which are those that
-// the last `predict` extrapolated (Magisano, Leonetti & Garcea 2017: mixed integration points; Newton's method then
-// converges in few steps where bending couples with stiff stretching).
+// exact; safe: positive semidefinite; mixed: exact but for the stresses of its geometric part, which are
+// those that the last `predict` extrapolated (Magisano, Leonetti & Garcea 2017: mixed integration points;
+// Newton's method then converges in few steps where bending couples with stiff stretching).
 enum class Hessian { exact, safe, mixed };
 
 // Displacements (3n) from mesh.start and director angles (edges), both in local numbering.
@@ -58,8 +60,9 @@ class Elastic {
   virtual void hessian(State state, Hessian kind, Scatter& scatter) = 0;
   // Stresses W_q linearised at the state, extrapolated along a direction (3n; edges).
   virtual void predict(State state, State direction) = 0;
-  // End moments: psi_h is the turn of half edge h's triangle about it. turn_gradient adds sum_h weight_h dpsi_h/dx;
-  // weights that were set also enter the Hessian (symmetrised; exact where the edge only moves, not tilts).
+  // End moments: psi_h is the turn of half edge h's triangle about it. turn_gradient adds sum_h weight_h
+  // dpsi_h/dx; weights that were set also enter the Hessian (symmetrised; exact where the edge only moves,
+  // not tilts).
   virtual void turn_gradient(State state, const double* weight, double* gradient) = 0;
   virtual void set_turn_weights(const double* weight) = 0;
 
@@ -77,8 +80,8 @@ class Elastic {
   virtual bool directors() const = 0;
 };
 
-// name: "model/bending/material", empty parts where the model has none. Picks the widest instruction set of this
-// machine (environment variable VOILE_ISA overrides). Throws std::invalid_argument for an unknown name.
+// name: "model/bending/material", empty parts where the model has none. Picks the widest instruction set of
+// this machine (environment variable VOILE_ISA overrides). Throws std::invalid_argument for an unknown name.
 std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh);
 std::string instruction_set();
 

@@ -22,7 +22,8 @@ template <class Array>
 static auto* sized(const Array& array, size_t size, const char* name) {
   if (array.size() != size)
     throw nb::value_error((std::string(name) + ": " + std::to_string(size) + " numbers expected, got " +
-                           std::to_string(array.size())).c_str());
+                           std::to_string(array.size()))
+                              .c_str());
   return array.data();
 }
 
@@ -55,8 +56,8 @@ struct Model {
     mesh.across = copied(across);
     mesh.start = copied(start);
     for (size_t k = 0; k < count; ++k)
-      if (mesh.corner[k] < 0 || mesh.corner[k] >= mesh.vertices || mesh.edge[k] < 0 || mesh.edge[k] >= edges ||
-          mesh.across[k] >= (int)count)
+      if (mesh.corner[k] < 0 || mesh.corner[k] >= mesh.vertices || mesh.edge[k] < 0 ||
+          mesh.edge[k] >= edges || mesh.across[k] >= (int)count)
         throw nb::value_error("mesh: index out of range");
     elastic = make_elastic(name, mesh);
   }
@@ -79,7 +80,8 @@ static void bind_model(nb::module_& m) {
            [](Model& s, Doubles points, Ints corners, bool flat) {
              const int* c = sized(corners, 3 * s.count(), "rest triangles");
              for (size_t k = 0; k < corners.size(); ++k)
-               if (c[k] < 0 || 3 * (size_t)c[k] + 2 >= points.size()) throw nb::value_error("rest: index out of range");
+               if (c[k] < 0 || 3 * (size_t)c[k] + 2 >= points.size())
+                 throw nb::value_error("rest: index out of range");
              s.elastic->set_rest(points.data(), c, flat);
            })
       .def("set_fabric",
@@ -118,7 +120,8 @@ static void bind_model(nb::module_& m) {
            })
       .def("hessian",
            [](Model& s, Doubles u, Doubles phi, const std::string& kind, Scatter& scatter) {
-             if (kind != "exact" && kind != "safe" && kind != "mixed") throw nb::value_error("hessian: unknown kind");
+             if (kind != "exact" && kind != "safe" && kind != "mixed")
+               throw nb::value_error("hessian: unknown kind");
              Hessian h = kind == "exact" ? Hessian::exact : (kind == "safe" ? Hessian::safe : Hessian::mixed);
              s.elastic->hessian(s.state(u, phi), h, scatter);
            })
@@ -133,7 +136,8 @@ static void bind_model(nb::module_& m) {
            [](Model& s, Doubles u, Doubles phi) {
              std::vector<double> a(36 * s.count()), b(18 * s.count()), c(3 * s.count());
              s.elastic->mixed(s.state(u, phi), a.data(), b.data(), c.data());
-             return nb::make_tuple(to_numpy(std::move(a), {s.count(), 6, 6}), to_numpy(std::move(b), {s.count(), 6, 3}),
+             return nb::make_tuple(to_numpy(std::move(a), {s.count(), 6, 6}),
+                                   to_numpy(std::move(b), {s.count(), 6, 3}),
                                    to_numpy(std::move(c), {s.count(), 3}));
            })
       .def("invariants_jacobian",
@@ -169,21 +173,24 @@ static void bind_scatter(nb::module_& m) {
              std::vector<int> column;
              s.pattern(rank.data(), start, column);
              size_t rows = start.size(), entries = column.size();
-             return nb::make_tuple(to_numpy(std::move(start), {rows}), to_numpy(std::move(column), {entries}));
+             return nb::make_tuple(to_numpy(std::move(start), {rows}),
+                                   to_numpy(std::move(column), {entries}));
            })
       // The arrays are written in place: the caller keeps them alive as long as the scatter.
-      .def("bind", [](Scatter& s, Ints ai, Ints aj, Output av, Ints bi, Ints bj, Output bv, Ints ghost_columns) {
-        sized(ai, (size_t)s.owned + 1, "rows");
-        Rows inside{ai.data(), aj.data(), av.data()}, outside;
-        if (bi.size() > 0) outside = {bi.data(), bj.data(), bv.data()};
-        s.bind(inside, outside, copied(ghost_columns));
-      });
+      .def("bind",
+           [](Scatter& s, Ints ai, Ints aj, Output av, Ints bi, Ints bj, Output bv, Ints ghost_columns) {
+             sized(ai, (size_t)s.owned + 1, "rows");
+             Rows inside{ai.data(), aj.data(), av.data()}, outside;
+             if (bi.size() > 0) outside = {bi.data(), bj.data(), bv.data()};
+             s.bind(inside, outside, copied(ghost_columns));
+           });
 }
 
 NB_MODULE(_kernels, m) {
   nb::set_leak_warnings(false);  // objects may outlive the interpreter through PETSc callbacks
   m.doc() = "Elastic energies of triangle meshes and their derivatives (C++).";
-  m.def("instruction_set", &instruction_set, "Instruction set of the kernels in use: baseline, avx2 or avx512.");
+  m.def("instruction_set", &instruction_set,
+        "Instruction set of the kernels in use: baseline, avx2 or avx512.");
   bind_model(m);
   bind_scatter(m);
   m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, double factor) {

@@ -1,5 +1,5 @@
-// Python module voile._petsc: the value arrays of a PETSc AIJ matrix, so that assembly writes into them directly.
-// petsc4py reaches them only by copies.
+// Python module voile._petsc: the value arrays of a PETSc AIJ matrix, so that assembly writes into them
+// directly. petsc4py reaches them only by copies.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <petscmat.h>
@@ -29,15 +29,15 @@ static nb::tuple sequential(Mat mat) {
   if (!done) throw std::runtime_error("the matrix is not in AIJ format");
   check(MatSeqAIJGetArray(mat, &values));
   size_t entries = (size_t)ia[rows];
-  auto result = nb::make_tuple(view(const_cast<int32_t*>(ia), (size_t)rows + 1), view(const_cast<int32_t*>(ja), entries),
-                               view(values, entries));
+  auto result = nb::make_tuple(view(const_cast<int32_t*>(ia), (size_t)rows + 1),
+                               view(const_cast<int32_t*>(ja), entries), view(values, entries));
   check(MatSeqAIJRestoreArray(mat, &values));
   check(MatRestoreRowIJ(mat, 0, PETSC_FALSE, PETSC_FALSE, &rows, &ia, &ja, &done));
   return result;
 }
 
-// Views, valid as long as the matrix: ((ia, ja, values) of this rank's columns, the same of the others' columns or
-// None, global columns of the latter). handle: petsc4py's Mat.handle.
+// Views, valid as long as the matrix: ((ia, ja, values) of this rank's columns, the same of the others'
+// columns or None, global columns of the latter). handle: petsc4py's Mat.handle.
 static nb::tuple aij_arrays(uintptr_t handle) {
   Mat mat = reinterpret_cast<Mat>(handle);
   PetscBool distributed;
@@ -48,7 +48,8 @@ static nb::tuple aij_arrays(uintptr_t handle) {
   PetscInt count;
   check(MatMPIAIJGetSeqAIJ(mat, &inside, &outside, &columns));
   check(MatGetSize(outside, nullptr, &count));
-  return nb::make_tuple(sequential(inside), sequential(outside), view(const_cast<int32_t*>(columns), (size_t)count));
+  return nb::make_tuple(sequential(inside), sequential(outside),
+                        view(const_cast<int32_t*>(columns), (size_t)count));
 }
 
 NB_MODULE(_petsc, m) {
