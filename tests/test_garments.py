@@ -1,0 +1,46 @@
+"""Real garments of ../shared/meshes, draped through the command line (scripts/garments) to 1e-8 of their weight."""
+
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from voile.mesh import read_mesh
+from voile.results import read_result
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "garments"
+
+
+@pytest.fixture(scope="module")
+def garments():
+    loader = SourceFileLoader("garments", str(SCRIPT))
+    module = module_from_spec(spec_from_loader("garments", loader))
+    loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "skirt",
+        pytest.param("dress", marks=pytest.mark.slow),
+        pytest.param("pleated", marks=pytest.mark.slow),
+    ],
+)
+def test_garment_hangs_in_a_stable_equilibrium(garments, shared, tmp_path, name):
+    summary = garments.drape(name, 1, tmp_path)
+    assert summary["code"] == 0 and summary["converged"] and summary["stable"]
+    assert summary["residual_norm"] <= summary["residual_tolerance"]
+    assert summary["energy"]["stretching"] > 0 and summary["energy"]["bending"] > 0
+    result = read_result(tmp_path / name)
+    points = result.points(-1)
+    assert np.isfinite(points).all()
+    size = np.linalg.norm(np.ptp(result.start, axis=0))
+    assert np.linalg.norm(points - result.start, axis=1).max() < size
+    if name == "pleated":
+        s = read_mesh(shared / "meshes" / "pleated-dress-panels.obj").stitches
+        w = s.weight[:, None]
+        seam = points[s.slave] - (1 - w) * points[s.first] - w * points[s.second]
+        assert abs(seam).max() < 1e-14 * size
