@@ -23,6 +23,7 @@ LEAP = 5  # mixed steps of a leap
 SHORTEST = 1e-10  # relative step length at which the line search gives up
 PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
 ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
+WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
 
 def negative_pivots(pc: PETSc.PC) -> int | None:
@@ -37,6 +38,20 @@ def negative_pivots(pc: PETSc.PC) -> int | None:
         return int(factor.getInertia()[0])
     except PETSc.Error:
         return None
+
+
+def factorisation_error(pc: PETSc.PC) -> int:
+    """MUMPS' error code of the last factorisation, negative (users' guide, INFOG(1)); 0 without one."""
+    if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU) or pc.getFactorSolverType() != "mumps":
+        return 0
+    return min(pc.getFactorMatrix().getMumpsInfog(1), 0)
+
+
+def _more_work_space(pc: PETSc.PC) -> bool:
+    """Doubles what the next factorisation may use beyond its estimate; False where that would be absurd."""
+    percent = 2 * max(pc.getFactorMatrix().getMumpsIcntl(14), 20)
+    PETSc.Options(pc.getOptionsPrefix() or "").setValue("mat_mumps_icntl_14", percent)
+    return percent <= MOST_WORK_SPACE
 
 
 @dataclass
@@ -63,6 +78,7 @@ class Newton:
         self.steps: list[Step] = []
         self.shift = 0.0
         self.negative: int | None = None
+        self.usable = True  # the last factorisation can solve
         self.seconds = 0.0  # in factorisations and solves
         self._mass: PETSc.Vec | None = None
         self._wait = 0
@@ -125,6 +141,8 @@ class Newton:
         first = norm = snes.getFunctionNorm()
         for it in range(1, self.mixed_limit + 1):
             minimum = self._factor(snes, y, "exact" if it == 1 else "mixed")
+            if not self.usable:
+                break
             self._apply_inverse(snes, residual, direction)
             if not np.isfinite(direction.norm()):
                 break
@@ -234,11 +252,18 @@ class Newton:
             shifted = self._mass.copy()
             shifted.scale(shift)
             matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
-        ksp = snes.ksp
-        ksp.setOperators(matrix)
+        pc = snes.ksp.pc
         with self._timed():
-            ksp.pc.setUp()
-        negative = negative_pivots(ksp.pc)
+            if not self.usable:
+                pc.reset()  # PETSc leaves a MUMPS instance that failed once as it is
+            snes.ksp.setOperators(matrix)
+            pc.setUp()
+            while factorisation_error(pc) in WORK_SPACE and _more_work_space(pc):
+                pc.reset()
+                snes.ksp.setOperators(matrix)
+                pc.setUp()
+        self.usable = not factorisation_error(pc)
+        negative = negative_pivots(pc)
         if kind != "safe" and self.shift == 0.0:
             self.negative = negative
         return not negative

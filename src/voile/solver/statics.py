@@ -78,8 +78,14 @@ def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton
 
 
 # MUMPS: count negative pivots on several ranks too; no pivoting (a positive definite matrix needs none, and an
-# indefinite one only has to be recognised); half as much again of work space.
-DEFAULTS = {"mat_mumps_icntl_13": "1", "mat_mumps_cntl_1": "0.0", "mat_mumps_icntl_14": "50"}
+# indefinite one only has to be recognised); half as much again of work space. SNES: no limit on how far the residual
+# may rise, where the potential falls it can.
+DEFAULTS = {
+    "mat_mumps_icntl_13": "1",
+    "mat_mumps_cntl_1": "0.0",
+    "mat_mumps_icntl_14": "50",
+    "snes_divergence_tolerance": "-1",
+}
 
 Progress = Callable[[LoadStep, PETSc.Vec], None]
 Monitor = Callable[[float, int, float], None]
