@@ -1,5 +1,6 @@
 """Equilibria along a load path: adaptive load steps around Newton's method, off unstable branches, to stable ends."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -12,7 +13,9 @@ from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
+ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
+PATIENT_CUTS = 8  # the same where loads have no potential to descend on
 
 
 @dataclass
@@ -118,23 +121,30 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
     """Steps until the full load. Fast full steps first, in load steps cut where they fail; where that does not help
     (buckling, floppy cloth) the descent method takes over, at once for the whole load unless supports move."""
     factor, step, cuts = 0.0, 1.0 / options.load_steps, 0
+    most = FAST_CUTS if problem.conservative else PATIENT_CUTS
     while factor < 1.0:
         if path.attempts >= options.max_steps:
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
             return
-        newton.descend = cuts >= FAST_CUTS
+        newton.descend = cuts >= most
         target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
         done = _advance(problem, snes, newton, y, target, options, path)
         if done is None:
+            hidden = problem.round_off(y) if newton.descend else 0.0
             problem.load_factor = factor
             path.state.copy(y)
+            if hidden > snes.getTolerances()[1]:
+                path.reason = (
+                    f"{_reason(snes)} at load factor {target:g}, but its round-off is {hidden:.1e} N"
+                )
+                return
             if step < SMALLEST_STEP:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
                 return
             step *= 0.25
             cuts += 1
-            if cuts == FAST_CUTS:
+            if cuts == most:
                 step = 1.0 / options.load_steps if problem.moves else 1.0
             continue
         factor = target
@@ -159,25 +169,34 @@ def require(path: Path) -> Path:
 def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None:
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
-    scale = problem.load_norm(y)
-    snes.setTolerances(
-        rtol=0.0, atol=max(options.tolerance * scale, problem.force_floor()), stol=0.0, max_it=500
-    )
-    snes.setFromOptions()
-    snes.solve(None, y)
-    path.seconds["linear_solve"] = newton.seconds
-    iterations = snes.getIterationNumber()
-    path.newton_iterations += iterations
-    if snes.getConvergedReason() <= 0:
-        return None
-    return LoadStep(
-        target,
-        iterations,
-        snes.getFunctionNorm(),
-        snes.getTolerances()[1],
-        problem.energies(y),
-        newton.negative,
-    )
+    iterations = 0
+    for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
+        wanted = _tolerance(problem, y, options)
+        if not math.isfinite(wanted):
+            snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
+            return None
+        snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=500)
+        snes.setFromOptions()
+        snes.solve(None, y)
+        path.seconds["linear_solve"] = newton.seconds
+        iterations += snes.getIterationNumber()
+        path.newton_iterations += snes.getIterationNumber()
+        if snes.getConvergedReason() <= 0:
+            return None
+        asked = snes.getTolerances()[1]
+        norm = snes.getFunctionNorm()
+        if asked != wanted or norm <= _tolerance(problem, y, options):
+            return LoadStep(target, iterations, norm, asked, problem.energies(y), newton.negative)
+    return None
+
+
+def _tolerance(problem, y, options) -> float:
+    """What the residual's norm must fall to (N): a fraction of the loads' norm; without loads of the supports'
+    reactions, but not below the round-off of an unloaded shell."""
+    loads = problem.load_norm(y)
+    if loads > 0.0:
+        return options.tolerance * loads
+    return max(options.tolerance * problem.reaction_norm(y), problem.force_floor())
 
 
 def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
