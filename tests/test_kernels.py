@@ -143,6 +143,23 @@ def test_rigid_motion(model):
     assert shell.energy(moved(shell.rest)) < 1e-28 and np.abs(shell.gradient(moved(shell.rest))).max() < 1e-13
 
 
+@each_model
+def test_new_rest_shape_in_place(model):
+    """Inverse design moves the rest shape of a kernel that has its fabric already."""
+    shell, z, _ = random_problem(model)
+    rest = shell.rest * [1.05, 0.98, 1.1]
+    shell.kernel.set_rest(rest, shell.triangles, False)
+    fabric = [base * np.ones(len(shell.triangles)) for base in (0.1, 2.0, 0.2)]
+    shell.kernel.set_fabric(*fabric)
+    energy, gradient = shell.energy(z), shell.gradient(z)
+    shell.kernel.set_rest(shell.rest, shell.triangles, False)
+    assert abs(shell.energy(z) - energy) > 1e-3 * energy
+    shell.kernel.set_rest(rest, shell.triangles, False)
+    assert shell.energy(z) == energy and np.array_equal(shell.gradient(z), gradient)
+    fresh = Shell(model, rest, shell.triangles, *fabric)
+    assert fresh.energy(z) == pytest.approx(energy, rel=1e-12)
+
+
 ISA_SCRIPT = """
 import json, sys
 sys.path.insert(0, sys.argv[1])

@@ -87,6 +87,7 @@ class ElasticModel final : public Elastic {
         if (flat) rest[b].q.s[i] = 0.0, rest[b].q.c[i] = 1.0;
         rest[b].dl[i] = start.q.l[i] - w.q.l[i];
       }
+      if constexpr (Model::quadratic) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
 
