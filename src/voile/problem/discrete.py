@@ -206,11 +206,10 @@ class Problem:
         return total
 
     def load_norm(self, y: PETSc.Vec) -> float:
-        """Norm of the external forces on the unknowns (N); that of the supports' reactions where there are none."""
+        """Norm of the external forces on the unknowns (N)."""
         u, _ = self.local(y)
         loads = self._collect @ self._loads(u)
-        norm = float(np.sqrt(self.comm.allreduce(float(loads @ loads))))
-        return norm if norm > 0.0 else self.reaction_norm(y)
+        return float(np.sqrt(self.comm.allreduce(float(loads @ loads))))
 
     def reaction_norm(self, y: PETSc.Vec) -> float:
         """Norm of the supports' reactions (N)."""
@@ -294,11 +293,22 @@ class Problem:
         return float(max(np.sqrt(total[0] / total[1]) / size, 1e-9 * wave / size**2))
 
     def force_floor(self) -> float:
-        """Round-off of the residual at the unstrained shape (N): what stands in for a tolerance without loads."""
+        """Round-off of the residual at a shape far from the start (N): what no tolerance without loads goes below."""
         part = self.part
         stiffness = part.weight * part.fabric[0] * part.fabric[1]
         total = self.comm.allreduce(float(stiffness @ stiffness))
         return 1e-14 * float(np.sqrt(total)) * self.size() / max(np.sqrt(self.unknowns), 1.0)
+
+    def round_off(self, y: PETSc.Vec) -> float:
+        """Norm of the residual's change (N) when every unknown changes by its last place: no residual below it is
+        more than chance."""
+        near, here, there = y.duplicate(), y.duplicate(), y.duplicate()
+        ulp = np.finfo(float).eps * np.where(np.arange(len(y.array)) % 7 % 2, 1.0, -1.0)
+        near.array[:] = y.array * (1.0 + ulp)
+        self.residual(y, here)
+        self.residual(near, there)
+        there.axpy(-1.0, here)
+        return float(there.norm())
 
     # ---- follower loads ----
 

@@ -13,6 +13,7 @@ from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
+NEAR = 100.0  # times its round-off a residual is not worth more iterations
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
 PATIENT_CUTS = 8  # the same where loads have no potential to descend on
@@ -131,13 +132,11 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
         path.attempts += 1
         done = _advance(problem, snes, newton, y, target, options, path)
         if done is None:
-            hidden = problem.round_off(y) if newton.descend else 0.0
+            hidden = _hidden(problem, snes, y) if newton.descend else 0.0
             problem.load_factor = factor
             path.state.copy(y)
-            if hidden > snes.getTolerances()[1]:
-                path.reason = (
-                    f"{_reason(snes)} at load factor {target:g}, but its round-off is {hidden:.1e} N"
-                )
+            if hidden:
+                path.reason = f"{_reason(snes)} at load factor {target:g}; its round-off is {hidden:.1e} N"
                 return
             if step < SMALLEST_STEP:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
@@ -195,8 +194,14 @@ def _tolerance(problem, y, options) -> float:
     reactions, but not below the round-off of an unloaded shell."""
     loads = problem.load_norm(y)
     if loads > 0.0:
-        return options.tolerance * loads
+        return max(options.tolerance * loads, min(problem.force_floor(), 1e-6 * loads))
     return max(options.tolerance * problem.reaction_norm(y), problem.force_floor())
+
+
+def _hidden(problem, snes, y) -> float:
+    """Round-off of the residual (N) where it is above the tolerance and about all that is left; else 0."""
+    hidden = problem.round_off(y)
+    return hidden if snes.getTolerances()[1] < hidden and snes.getFunctionNorm() < NEAR * hidden else 0.0
 
 
 def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
