@@ -1,0 +1,133 @@
+"""Strips against the elastica, the catenary and the lateral buckling load: absolute bounds, observed rates."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp, trapezoid
+from shapes import (
+    CANTILEVER,
+    END_SHEAR,
+    LATERAL,
+    buckling_load,
+    buckling_refined,
+    cantilever_refined,
+    cantilever_row,
+    catenary_refined,
+    hanging_strip,
+    heavy_strip,
+    roll_refined,
+    rolled_strip,
+    shear_refined,
+    shear_rows,
+    standing_strip,
+    tip_of,
+)
+from shells import rates, solve
+
+SIZES = [4.0, 2.0, 1.0]
+
+
+def elastica(load: float, heavy: bool) -> tuple[float, float]:
+    """Reach and drop of the tip: theta'' = -load (1 - s, or 1 without weight) cos(theta), by collocation."""
+    s = np.linspace(0.0, 1.0, 401)
+
+    def slope(s, state):
+        return np.vstack([state[1], -load * ((1.0 - s) if heavy else 1.0) * np.cos(state[0])])
+
+    start = np.pi / 2 * (1.0 - np.exp(-np.sqrt(load) * s))
+    guess = np.vstack([start, np.gradient(start, s)])
+    found = solve_bvp(slope, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-9, max_nodes=100000)
+    assert found.success
+    s = np.linspace(0.0, 1.0, 100001)
+    theta = found.sol(s)[0]
+    return trapezoid(np.cos(theta), s), trapezoid(np.sin(theta), s)
+
+
+def test_the_stored_elasticas_solve_their_equations():
+    for gamma, ratio in CANTILEVER.items():
+        reach, drop = elastica(gamma, heavy=True)
+        assert abs(drop / reach / ratio - 1.0) < 1e-7, gamma
+    for alpha, (shortening, deflection) in END_SHEAR.items():
+        reach, drop = elastica(alpha, heavy=False)
+        assert abs(1.0 - reach - shortening) < 1e-8 and abs(drop - deflection) < 1e-8, alpha
+
+
+@pytest.mark.parametrize("gamma", CANTILEVER)
+def test_heavy_cantilever(gamma):
+    assert cantilever_row(gamma).error < (0.001 if gamma <= 200 else 0.002)
+
+
+def test_heavy_cantilever_converges():
+    rows = cantilever_refined()
+    assert rows[-1].error < 2e-4
+    assert min(rates(rows, SIZES)) > 1.9
+
+
+@pytest.mark.parametrize("bending", ["sin", "theta"])
+def test_heavy_cantilever_of_other_variants(bending):
+    x = tip_of(*heavy_strip(10.0, 80, 4, bending))
+    assert abs(-x[2] / x[0] / CANTILEVER[10.0] - 1.0) < 5e-4
+
+
+@pytest.mark.parametrize("alpha", END_SHEAR)
+def test_end_shear(alpha):
+    for found in shear_rows(alpha):
+        assert found.error < 0.001, found
+
+
+def test_end_shear_converges():
+    rows = shear_refined()
+    assert rows[-1].error < 5e-5
+    assert min(rates(rows, SIZES)) > 1.9
+
+
+@pytest.mark.parametrize("turns, bound", [(0.5, 6e-4), (1.0, 2e-3)])
+def test_roll_up(turns, bound):
+    """A positive moment rolls towards the normal: half a turn ends above the clamp, a whole one at it."""
+    rows = roll_refined(turns)
+    assert rows[-1].error < bound
+    assert min(rates(rows, SIZES)) > 1.9
+
+
+def test_the_rolled_strip_is_stable_and_not_stretched():
+    shell, _ = rolled_strip(1.0, 40, 2)
+    solution = solve(shell)
+    assert solution.path.stable
+    bending = 0.5 * (2.0 * np.pi) ** 2 * 1e6 * 1e-6 / 12.0 * 0.05  # B b / (2 R^2) L
+    energies = solution.path.steps[-1].energies
+    assert abs(energies["bending"] / bending - 1.0) < 0.02
+    assert energies["stretching"] < 0.01 * bending
+
+
+def test_hanging_strip_is_a_catenary():
+    rows = catenary_refined()
+    assert rows[-1].error < 5e-4
+    assert min(rates(rows, SIZES)) > 1.9
+
+
+def test_hanging_strip_follows_the_whole_catenary():
+    span = 0.8
+    shell, _ = hanging_strip(80, span)
+    solution = solve(shell, 1)
+    assert solution.path.stable
+    x = shell.points + solution.u
+    a = np.linspace(0.2, 1.0, 100001)
+    a = a[np.argmin(np.abs(2 * a * np.sinh(span / 2 / a) - 1.0))]
+    curve = a * (np.cosh((x[:, 0] - span / 2) / a) - np.cosh(span / 2 / a))
+    assert np.abs(x[:, 2] - curve).max() < 2e-4
+
+
+def test_lateral_buckling_load():
+    """The excess over the beam's load is the clamp's hold on warping: it falls with b/L."""
+    rows = buckling_refined()
+    assert rows[-1].error < 0.015
+    assert min(rates(rows, SIZES)) > 0.9
+    limit = 2.0 * rows[-1].computed - rows[-2].computed
+    assert abs(limit / LATERAL - 1.0) < 0.002
+
+
+def test_a_strip_past_its_buckling_load_ends_bent_and_stable():
+    critical = buckling_load(0.1, 20, 2)
+    straight = solve(standing_strip(0.9 * critical, 0.1, 20, 2, thin=20.0)[0], 1)
+    assert straight.path.stable and np.abs(straight.u[:, 2]).max() == 0.0
+    buckled = solve(standing_strip(1.2 * critical, 0.1, 20, 2, thin=20.0)[0], 1)
+    assert buckled.path.stable and np.abs(buckled.u[:, 2]).max() > 0.05
