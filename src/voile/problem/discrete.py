@@ -66,23 +66,10 @@ class Problem:
         self.load_factor = 1.0
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
-        self.kernel = _kernels.Elastic(
-            self.model,
-            part.corners,
-            part.triangle_edges,
-            part.signs,
-            part.across,
-            len(part.edge),
-            part.points,
-        )
-        self.kernel.set_rest(part.rest_points, part.rest_corners, flat)
-        self.kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
-        self.kernel.set_weights(part.weight)
-        clamp = part.half_edge_clamp
-        if len(clamp):
-            self.kernel.set_clamps(
-                clamp[:, 0].astype(np.int32), clamp[:, 1].astype(np.int32), np.ascontiguousarray(clamp[:, 2:])
-            )
+        self._flat = flat
+        self.kernel = self._make_kernel(part.points)
+        self._base = np.zeros(self._size[0])  # displacements at the last `rebase`
+        self._gap, self._base_factor = part.gap.copy(), 0.0
         self._collect = part.matrix.T.tocsr()[: part.owned]
         self._vertex_force = np.zeros(sum(self._size))
         self._vertex_force[: self._size[0]] = (
@@ -94,6 +81,39 @@ class Problem:
         self._length = self._measure()
         self._make_vectors()
         self._scatter: _kernels.Scatter
+
+    def _make_kernel(self, start: np.ndarray) -> _kernels.Elastic:
+        """The elastic model with displacements that count from `start` (local vertices, 3)."""
+        part = self.part
+        kernel = _kernels.Elastic(
+            self.model,
+            part.corners,
+            part.triangle_edges,
+            part.signs,
+            part.across,
+            len(part.edge),
+            np.ascontiguousarray(start),
+        )
+        kernel.set_rest(part.rest_points, part.rest_corners, self._flat)
+        kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
+        kernel.set_weights(part.weight)
+        clamp = part.half_edge_clamp
+        if len(clamp):
+            kernel.set_clamps(
+                clamp[:, 0].astype(np.int32), clamp[:, 1].astype(np.int32), np.ascontiguousarray(clamp[:, 2:])
+            )
+        return kernel
+
+    def rebase(self, y: PETSc.Vec) -> None:
+        """Counts displacements from the shape at y on; the unknowns of any state are then less by y, those of y zero.
+
+        Stored as numbers near zero, displacements keep the digits that they lose when they are large, and with
+        them the membrane forces of a stiff shell that has moved far.
+        """
+        u, phi = self._shape(y)
+        self._base += u
+        self._gap, self._base_factor = np.concatenate([np.zeros_like(u), phi]), self.load_factor
+        self.kernel = self._make_kernel(self.part.points + self._base.reshape(-1, 3))
 
     # ---- layout ----
 
@@ -144,8 +164,13 @@ class Problem:
 
     def local(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
+        u, phi = self._shape(y)
+        return self._base + u, phi
+
+    def _shape(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
+        """As `local`, but displacements from the shape of the last `rebase`."""
         u, phi = self._spread(y)
-        held = self.part.gap + self.load_factor * self.part.lift
+        held = self._gap + (self.load_factor - self._base_factor) * self.part.lift
         return u + held[: len(u)], phi + held[len(u) :]
 
     def _spread(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
@@ -164,15 +189,15 @@ class Problem:
 
     def energies(self, y: PETSc.Vec) -> dict[str, float]:
         """Parts of the potential (J)."""
-        u, phi = self.local(y)
+        u, phi = self._shape(y)
         with self._timed():
             stretching, bending = self.kernel.energy(u, phi)
         own = np.zeros(len(ENERGIES))
         own[:2] = stretching, bending
         factor, rows = self.load_factor, np.repeat(self._own, 3)
-        own[2] = -factor * np.dot(self._vertex_force[: len(u)] * rows, u)
+        own[2] = -factor * np.dot(self._vertex_force[: len(u)] * rows, self._base + u)
         own[3] = self._pressure_energy(u)
-        own[4] = -factor * np.dot(self.part.force[: len(u)] * rows, u)
+        own[4] = -factor * np.dot(self.part.force[: len(u)] * rows, self._base + u)
         return dict(zip(ENERGIES, self.comm.allreduce(own), strict=True))
 
     def energy(self, y: PETSc.Vec) -> float:
@@ -185,7 +210,7 @@ class Problem:
 
     def _forces(self, y: PETSc.Vec) -> np.ndarray:
         """Gradient of the potential in all local dofs; complete for those of this rank."""
-        u, phi = self.local(y)
+        u, phi = self._shape(y)
         gradient, edge_gradient = np.zeros_like(u), np.zeros_like(phi)
         with self._timed():
             self.kernel.gradient(u, phi, gradient, edge_gradient)
@@ -207,7 +232,7 @@ class Problem:
 
     def load_norm(self, y: PETSc.Vec) -> float:
         """Norm of the external forces on the unknowns (N)."""
-        u, _ = self.local(y)
+        u, _ = self._shape(y)
         loads = self._collect @ self._loads(u)
         return float(np.sqrt(self.comm.allreduce(float(loads @ loads))))
 
@@ -228,7 +253,7 @@ class Problem:
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`)."""
         if matrix.handle != self._bound:
             self._bind(matrix)
-        u, phi = self.local(y)
+        u, phi = self._shape(y)
         if self.part.moment.any():
             self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
         with self._timed():
@@ -241,7 +266,7 @@ class Problem:
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""
-        u, phi = self.local(y)
+        u, phi = self._shape(y)
         du, dphi = self._spread(direction)
         self.kernel.predict(u, phi, du, dphi)
 
@@ -313,7 +338,7 @@ class Problem:
     # ---- follower loads ----
 
     def _positions(self, u: np.ndarray) -> np.ndarray:
-        return self.part.points + u.reshape(-1, 3)
+        return self.part.points + (self._base + u).reshape(-1, 3)
 
     def _pressure_energy(self, u: np.ndarray) -> float:
         """-p V with V the volume under the surface (sum of x0.(x1 x x2)/6)."""

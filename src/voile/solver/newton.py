@@ -23,6 +23,8 @@ LEAP = 5  # mixed steps of a leap
 SHORTEST = 1e-10  # relative step length at which the line search gives up
 PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
 ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
+IDLE = 3  # steps without halving the residual after which round-off is suspected
+NEAR = 10.0  # times its round-off a residual is not worth more steps
 WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
 
@@ -81,7 +83,9 @@ class Newton:
         self.usable = True  # the last factorisation can solve
         self.seconds = 0.0  # in factorisations and solves
         self._mass: PETSc.Vec | None = None
-        self._wait = 0
+        self._wait = self._idle = 0
+        self._best = np.inf
+        self.stalled = False  # round-off is all that is left of the residual, above the tolerance
         self._rest = self._patience = 0  # steps until, and between, leaps
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
@@ -89,7 +93,8 @@ class Newton:
         problem = self.problem
         residual = snes.getFunction()[0]
         direction, trial, trial_residual = y.duplicate(), y.duplicate(), y.duplicate()
-        self.steps, self.shift, self._wait = [], 0.0, 0
+        self.steps, self.shift, self._wait, self.stalled = [], 0.0, 0, False
+        self._best, self._idle = np.inf, 0
         snes.computeFunction(y, residual)
         energy, norm = self._energy(y), residual.norm()
         snes.setIterationNumber(0)
@@ -100,7 +105,7 @@ class Newton:
         if snes.reason:
             return
         if not self.descend:
-            if not self._mixed(snes, y, residual, direction):
+            if not self._mixed(snes, y, residual, direction) and not snes.reason:
                 snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
             return
         length, exact = 1.0, True
@@ -131,6 +136,8 @@ class Newton:
             snes.logConvergenceHistory(norm, 0)
             snes.setConvergedReason(self._test(snes, it, y, direction, norm))
             snes.monitor(it, norm)
+            if not snes.reason and self._stalls(y, norm):
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
         if not snes.reason:
             snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
 
@@ -164,6 +171,9 @@ class Newton:
                 return True
             if reason > 0:
                 break
+            if minimum and self._stalls(y, norm):
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH)
+                return False
         start.copy(y)
         return False
 
@@ -192,6 +202,13 @@ class Newton:
         self._patience = 0 if best < energy else min(max(2 * self._patience, 1), 64)
         self._rest = self._patience
         return best
+
+    def _stalls(self, y: PETSc.Vec, norm: float) -> bool:
+        """Whether the residual has stopped falling near the round-off of the unknowns."""
+        self._idle = 0 if norm < 0.5 * self._best else self._idle + 1
+        self._best = min(norm, self._best)
+        self.stalled = self._idle >= IDLE and norm < NEAR * self.problem.round_off(y)
+        return self.stalled
 
     def _limit(self, direction: PETSc.Vec) -> None:
         """Shortens a step that would move or turn something beyond what a linearisation can mean."""

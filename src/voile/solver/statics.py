@@ -13,7 +13,6 @@ from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
-NEAR = 100.0  # times its round-off a residual is not worth more iterations
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
 PATIENT_CUTS = 8  # the same where loads have no potential to descend on
@@ -132,12 +131,8 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
         path.attempts += 1
         done = _advance(problem, snes, newton, y, target, options, path)
         if done is None:
-            hidden = _hidden(problem, snes, y) if newton.descend else 0.0
             problem.load_factor = factor
             path.state.copy(y)
-            if hidden:
-                path.reason = f"{_reason(snes)} at load factor {target:g}; its round-off is {hidden:.1e} N"
-                return
             if step < SMALLEST_STEP:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
                 return
@@ -180,6 +175,11 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
         path.seconds["linear_solve"] = newton.seconds
         iterations += snes.getIterationNumber()
         path.newton_iterations += snes.getIterationNumber()
+        if newton.stalled:
+            path.state.axpy(-1.0, y)
+            problem.rebase(y)
+            y.set(0.0)
+            continue
         if snes.getConvergedReason() <= 0:
             return None
         asked = snes.getTolerances()[1]
@@ -194,14 +194,8 @@ def _tolerance(problem, y, options) -> float:
     reactions, but not below the round-off of an unloaded shell."""
     loads = problem.load_norm(y)
     if loads > 0.0:
-        return max(options.tolerance * loads, min(problem.force_floor(), 1e-6 * loads))
+        return options.tolerance * loads
     return max(options.tolerance * problem.reaction_norm(y), problem.force_floor())
-
-
-def _hidden(problem, snes, y) -> float:
-    """Round-off of the residual (N) where it is above the tolerance and about all that is left; else 0."""
-    hidden = problem.round_off(y)
-    return hidden if snes.getTolerances()[1] < hidden and snes.getFunctionNorm() < NEAR * hidden else 0.0
 
 
 def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
@@ -217,11 +211,11 @@ def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
         if not value < 0.0:
             break
         amplitude = options.perturbation * problem.thickness() * 4.0**attempt
-        saddle = y.copy()
+        y.copy(path.state)
         y.axpy(amplitude, mode)
         again = _advance(problem, snes, newton, y, 1.0, options, path)
         if again is None:
-            saddle.copy(y)
+            path.state.copy(y)
             continue
         done = again
     if path.stable and options.eigenvalue:
