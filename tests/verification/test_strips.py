@@ -125,9 +125,10 @@ def test_lateral_buckling_load():
     assert abs(limit / LATERAL - 1.0) < 0.002
 
 
-def test_a_strip_past_its_buckling_load_ends_bent_and_stable():
-    critical = buckling_load(0.1, 20, 2)
-    straight = solve(standing_strip(0.9 * critical, 0.1, 20, 2, thin=20.0)[0], 1)
+@pytest.mark.parametrize("height, nx, thin, load", [(0.1, 20, 20.0, 1.2), (0.05, 40, 50.0, 1.5)])
+def test_a_strip_past_its_buckling_load_ends_bent_and_stable(height, nx, thin, load):
+    critical = buckling_load(height, nx, 2)
+    straight = solve(standing_strip(0.9 * critical, height, nx, 2, thin)[0], 1)
     assert straight.path.stable and np.abs(straight.u[:, 2]).max() == 0.0
-    buckled = solve(standing_strip(1.2 * critical, 0.1, 20, 2, thin=20.0)[0], 1)
+    buckled = solve(standing_strip(load * critical, height, nx, 2, thin)[0], 1)
     assert buckled.path.stable and np.abs(buckled.u[:, 2]).max() > 0.05
