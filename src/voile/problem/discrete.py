@@ -324,16 +324,23 @@ class Problem:
         total = self.comm.allreduce(float(stiffness @ stiffness))
         return 1e-14 * float(np.sqrt(total)) * self.size() / max(np.sqrt(self.unknowns), 1.0)
 
-    def round_off(self, y: PETSc.Vec) -> float:
-        """Norm of the residual's change (N) when every unknown changes by its last place: no residual below it is
-        more than chance."""
-        near, here, there = y.duplicate(), y.duplicate(), y.duplicate()
-        ulp = np.finfo(float).eps * np.where(np.arange(len(y.array)) % 7 % 2, 1.0, -1.0)
-        near.array[:] = y.array * (1.0 + ulp)
-        self.residual(y, here)
-        self.residual(near, there)
-        there.axpy(-1.0, here)
-        return float(there.norm())
+    def round_off(self, y: PETSc.Vec) -> tuple[float, float]:
+        """Norms of the residual's change (N) when every unknown changes by its last place, which `rebase` can help,
+        and of what the last places of the positions make of its evaluation, which nothing can."""
+        sign = np.where(np.arange(len(y.array_r)) % 7 % 2, 1.0, -1.0)
+        step = y.duplicate()
+        step.array[:] = np.finfo(float).eps * sign * y.array_r
+        here, ahead = (self._residual_at(y, step, side) for side in (0.0, 1.0))
+        stored = (ahead - here).norm()
+        step.array[:] = np.finfo(float).eps * sign * self._length
+        ahead, back = (self._residual_at(y, step, side) for side in (1.0, -1.0))
+        return stored, (ahead + back - 2.0 * here).norm() / np.sqrt(6.0)  # the linear part cancels
+
+    def _residual_at(self, y: PETSc.Vec, step: PETSc.Vec, length: float) -> PETSc.Vec:
+        there, f = y.duplicate(), y.duplicate()
+        there.waxpy(length, step, y)
+        self.residual(there, f)
+        return f
 
     # ---- follower loads ----
 

@@ -207,7 +207,7 @@ class Newton:
         """Whether the residual has stopped falling near the round-off of the unknowns."""
         self._idle = 0 if norm < 0.5 * self._best else self._idle + 1
         self._best = min(norm, self._best)
-        self.stalled = self._idle >= IDLE and norm < NEAR * self.problem.round_off(y)
+        self.stalled = self._idle >= IDLE and norm < NEAR * max(self.problem.round_off(y))
         return self.stalled
 
     def _limit(self, direction: PETSc.Vec) -> None:

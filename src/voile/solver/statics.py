@@ -133,6 +133,11 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
         if done is None:
             problem.load_factor = factor
             path.state.copy(y)
+            if path.reason:  # round-off: only a larger load, with its larger tolerance, is left to try
+                if target == 1.0 or cuts > most:
+                    return
+                path.reason, step, cuts = "", 1.0, most + 1
+                continue
             if step < SMALLEST_STEP:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; the smallest load step was reached"
                 return
@@ -163,7 +168,7 @@ def require(path: Path) -> Path:
 def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None:
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
-    iterations = 0
+    iterations, rebased = 0, False
     for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
         wanted = _tolerance(problem, y, options)
         if not math.isfinite(wanted):
@@ -176,9 +181,14 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
         iterations += snes.getIterationNumber()
         path.newton_iterations += snes.getIterationNumber()
         if newton.stalled:
+            computed = problem.round_off(y)[1] if rebased else 0.0
+            if computed > snes.getTolerances()[1]:
+                path.reason = f"{_reason(snes)} at load factor {target:g}; round-off is {computed:.1e} N"
+                return None
             path.state.axpy(-1.0, y)
             problem.rebase(y)
             y.set(0.0)
+            rebased = True
             continue
         if snes.getConvergedReason() <= 0:
             return None
