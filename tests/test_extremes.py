@@ -1,0 +1,161 @@
+"""The quick rows of scripts/extremes, and what keeps the solver honest there."""
+
+import sys
+from dataclasses import replace
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.elastic import model_name
+from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
+from voile.solver.newton import Newton
+from voile.solver.statics import StaticsOptions, create_snes, solve_statics
+
+
+def script():
+    """The module of scripts/extremes, which has no suffix."""
+    path = Path(__file__).parents[1] / "scripts" / "extremes"
+    spec = spec_from_loader("extremes", SourceFileLoader("extremes", str(path)))
+    assert spec and spec.loader
+    sys.modules["extremes"] = module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+EXTREMES = script()
+QUICK = [row for row in EXTREMES.all_rows() if row.quick]
+
+
+@pytest.mark.parametrize("row", QUICK, ids=lambda row: row.name)
+def test_extreme(row, tmp_path):
+    outcome = EXTREMES.run(row, tmp_path)
+    assert not outcome.wrong, outcome
+    assert outcome.converged == (not row.says)
+
+
+def test_a_wrong_word_is_caught(tmp_path):
+    """The script's own check: a shape solved for other weights is no equilibrium of the row's."""
+    row = next(row for row in QUICK if row.name.startswith("cloth held"))
+    assert not EXTREMES.run(row, tmp_path).wrong
+    with EXTREMES.read_result(tmp_path / "out") as result:
+        summary = EXTREMES.json.loads((tmp_path / "out" / "summary.json").read_text())
+        heavier = replace(row, gravity=(0.0, 0.0, -9.82))
+        assert "not an equilibrium" in EXTREMES._check(heavier, result, summary)[0]
+        assert "called converged" in EXTREMES._check(row, result, {**summary, "residual_norm": 1.0})[0]
+
+
+def strip(cells: int = 10, **changed) -> Shell:
+    """A strip of 20 m x 1 m held at one end, its other end to be lifted by a small force: stiff and far moved."""
+    points, triangles = EXTREMES.sheet(20.0, 1.0, cells, 2)
+    one = np.ones(len(triangles))
+    fixed = np.repeat((points[:, 0] <= 20.0 / cells)[:, None], 3, axis=1)
+    force = np.where(points[:, :1] > 19.99, [[0.0, 0.0, 0.05]], 0.0)
+    shell = Shell(
+        points,
+        triangles.astype(np.int32),
+        points,
+        triangles.astype(np.int32),
+        True,
+        model_name("koiter", "tan", "stvk"),
+        0.03 * one,
+        21e6 * one,
+        0.0 * one,
+        one,
+        fixed,
+        np.zeros_like(points),
+        force=force,
+    )
+    return replace(shell, **changed)
+
+
+def test_rebase_changes_no_shape_and_no_force():
+    problem = Problem(strip(), MPI.COMM_SELF)
+    y, before, after = (problem.create_vector() for _ in range(3))
+    y.array[:] = 1e-3 * np.sin(np.arange(problem.unknowns))
+    problem.residual(y, before)
+    shape, energies = problem.local(y), problem.energies(y)
+    problem.rebase(y)
+    y.set(0.0)
+    problem.residual(y, after)
+    for old, new in zip(shape, problem.local(y), strict=True):
+        assert np.abs(old - new).max() <= 1e-15
+    assert problem.energies(y) == pytest.approx(energies, rel=1e-10, abs=1e-18)
+    after.axpy(-1.0, before)
+    assert after.norm() <= 1e-9 * before.norm()
+
+
+def test_rebase_resolves_what_large_displacements_hide():
+    """Far from the start the last place of a displacement is worth more than the tolerance; near zero it is not."""
+    problem = Problem(strip(), MPI.COMM_SELF)
+    path = solve_statics(problem, StaticsOptions(load_steps=4))
+    assert path.converged, path.reason
+    last, residual = path.steps[-1], problem.create_vector()
+    assert last.tolerance == pytest.approx(1e-8 * problem.load_norm(path.state))
+    problem.residual(path.state, residual)
+    assert residual.norm() == pytest.approx(last.residual) and last.residual <= last.tolerance
+    whole = Problem(strip(), MPI.COMM_SELF)
+    y = whole.create_vector()
+    u, phi = problem.local(path.state)
+    free = whole.part.matrix.T.tocsr()
+    y.array[:] = free @ np.concatenate([u, phi])
+    assert np.abs(whole.local(y)[0] - u).max() <= 1e-15
+    assert whole.round_off(y)[0] > 10.0 * problem.round_off(path.state)[0]
+
+
+def test_a_failed_factorisation_does_not_spoil_the_next():
+    """A single flat triangle has no stiffness out of its plane: the first matrix is singular, a shifted one is not."""
+    points, triangles = EXTREMES.triangle((0, 0, 0), (1, 0, 0), (0.5, 1, 0))
+    one = np.ones(1)
+    fixed = np.array([[True] * 3, [True] * 3, [False] * 3])
+    model = model_name("membrane", "tan", "stvk")
+    corners = triangles.astype(np.int32)
+    shell = Shell(
+        points, corners, points, corners, True, model, one, one, 0.3 * one, one, fixed, np.zeros((3, 3)),
+        gravity=np.array([0.0, 0.0, -1e-3]),
+    )  # fmt: skip
+    problem = Problem(shell, MPI.COMM_SELF)
+    snes, newton = create_snes(problem, problem.create_matrix())
+    y = problem.create_vector()
+    assert isinstance(newton, Newton)
+    snes.setUp()
+    assert not newton._factor(snes, y, "exact") and not newton.usable
+    newton.shift = 1.0
+    assert newton._factor(snes, y, "exact") and newton.usable
+    right, found = y.duplicate(), y.duplicate()
+    right.set(1.0)
+    snes.ksp.solve(right, found)
+    product = y.duplicate()
+    snes.getJacobian()[0].mult(found, product)
+    product.axpy(-1.0, right)
+    assert product.norm() <= 1e-12 * right.norm() and found.norm(PETSc.NormType.INFINITY) > 0.0
+
+
+def test_tolerance_without_loads_is_that_of_the_reactions():
+    points, triangles = EXTREMES.sheet(1.0, 1.0, 4, 4)
+    ends = np.isclose(points[:, 0], 0.0) | np.isclose(points[:, 0], 1.0)
+    one = np.ones(len(triangles))
+    shell = strip(
+        points=points,
+        triangles=triangles.astype(np.int32),
+        rest_points=points,
+        rest_triangles=triangles.astype(np.int32),
+        thickness=1e-3 * one,
+        young=1e6 * one,
+        poisson=0.3 * one,
+        density=one,
+        fixed=np.repeat(ends[:, None], 3, axis=1),
+        motion=np.where(np.isclose(points[:, :1], 1.0), [[0.1, 0.0, 0.0]], 0.0),
+        force=None,
+        topology=None,
+    )
+    problem = Problem(shell, MPI.COMM_SELF)
+    path = solve_statics(problem)
+    assert path.converged, path.reason
+    assert problem.load_norm(path.state) == 0.0
+    assert path.steps[-1].residual <= 1.0001e-8 * problem.reaction_norm(path.state)
