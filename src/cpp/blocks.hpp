@@ -73,9 +73,13 @@ template <bool bends>
 VOILE_INLINE Local local_shape(const Block& block, const double* base, const double* displacement) {
   Local w;
   Vec3 x[3], u[3];
+  // Positions from the first corner on, differences first: rounded in proportion to the triangle, not to its
+  // place.
+  const Vec3 origin = gather_point(base, block.corner[0]),
+             shift = gather_point(displacement, block.corner[0]);
   for (int j = 0; j < 3; ++j) {
-    u[j] = gather_point(displacement, block.corner[j]);
-    x[j] = gather_point(base, block.corner[j]) + u[j];
+    u[j] = gather_point(displacement, block.corner[j]) - shift;
+    x[j] = gather_point(base, block.corner[j]) - origin + u[j];
   }
   build_facet(x, w.t);
   for (int i = 0; i < 3; ++i) {
@@ -86,7 +90,8 @@ VOILE_INLINE Local local_shape(const Block& block, const double* base, const dou
   }
   if constexpr (bends)
     for (int i = 0; i < 3; ++i) {
-      Vec3 across = gather_point(base, block.across[i]) + gather_point(displacement, block.across[i]);
+      Vec3 across = gather_point(base, block.across[i]) - origin;
+      across = across + (gather_point(displacement, block.across[i]) - shift);
       Vec3 y[3] = {across, x[(i + 2) % 3], x[(i + 1) % 3]};
       build_facet(y, w.next[i]);
       w.own[i] = widen(block.own[i]), w.other[i] = widen(block.other[i]);
