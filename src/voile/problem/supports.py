@@ -70,7 +70,7 @@ def _describe(shell: Shell, modes: np.ndarray) -> str:
     u, s, _ = np.linalg.svd(modes[:, 3:])
     still = u[:, np.sum(s > 1e-9) :].T @ modes
     if len(still):
-        return "translation along " + ", ".join(_direction(m[:3]) for m in still)
+        return "translation along " + ", ".join(sorted(_direction(m[:3]) for m in still))
     if not loaded:
         return (
             "rotation about "

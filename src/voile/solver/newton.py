@@ -25,6 +25,7 @@ PATIENCE = 2  # steps before an indefinite exact Hessian is tried again
 ENERGY_NOISE = 1e-11  # relative size under which differences of the potential are round-off
 IDLE = 3  # steps without halving the residual after which round-off is suspected
 NEAR = 10.0  # times its round-off a residual is not worth more steps
+FAR = 1e3  # times the residual what seems round-off is a singular shape: no area, a hinge at 180 degrees
 WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
 
@@ -146,7 +147,7 @@ class Newton:
         on their way, so only a converged minimum counts; else y is put back."""
         start = y.copy()
         first = norm = snes.getFunctionNorm()
-        for it in range(1, self.mixed_limit + 1):
+        for it in range(1, min(self.mixed_limit, snes.getTolerances()[3]) + 1):
             minimum = self._factor(snes, y, "exact" if it == 1 else "mixed")
             if not self.usable:
                 break
@@ -207,7 +208,9 @@ class Newton:
         """Whether the residual has stopped falling near the round-off of the unknowns."""
         self._idle = 0 if norm < 0.5 * self._best else self._idle + 1
         self._best = min(norm, self._best)
-        self.stalled = self._idle >= IDLE and norm < NEAR * max(self.problem.round_off(y))
+        if self._idle >= IDLE:
+            noise = max(self.problem.round_off(y))
+            self.stalled = norm / NEAR < noise < FAR * norm
         return self.stalled
 
     def _limit(self, direction: PETSc.Vec) -> None:
