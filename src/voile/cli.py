@@ -289,7 +289,7 @@ class Progress:
 
     def __init__(self, comm):
         self.quiet = comm.rank != 0
-        self.live = sys.stdout.isatty()
+        self.live = sys.stdout.isatty() and comm.size == 1  # mpirun lends its ranks a terminal
         self.began = self.last = time.perf_counter()
 
     def line(self, text: str) -> None:
