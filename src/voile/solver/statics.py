@@ -87,7 +87,7 @@ DEFAULTS = {
     "mat_mumps_icntl_13": "1",
     "mat_mumps_cntl_1": "0.0",
     "mat_mumps_icntl_14": "50",
-    "snes_divergence_tolerance": "-1",
+    "snes_divergence_tolerance": "-3",
 }
 
 Progress = Callable[[LoadStep, PETSc.Vec], None]
