@@ -43,6 +43,19 @@ def negative_pivots(pc: PETSc.PC) -> int | None:
         return None
 
 
+def add_mass(matrix: PETSc.Mat, mass: PETSc.Vec, shift: float) -> None:
+    """Adds shift times the diagonal mass to a tangent."""
+    shifted = mass.copy()
+    shifted.scale(shift)
+    matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
+
+
+def use_cholesky(pc: PETSc.PC) -> None:
+    """LDL^T by MUMPS; options may choose otherwise."""
+    pc.setType(PETSc.PC.Type.CHOLESKY)
+    pc.setFactorSolverType("mumps")
+
+
 def factorisation_error(pc: PETSc.PC) -> int:
     """MUMPS' error code of the last factorisation, negative (users' guide, INFOG(1)); 0 without one."""
     if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU) or pc.getFactorSolverType() != "mumps":
@@ -109,11 +122,10 @@ class Newton:
             if not self._mixed(snes, y, residual, direction) and not snes.reason:
                 snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
             return
-        length, exact = 1.0, True
         for it in range(1, snes.getTolerances()[3] + 1):
             if snes.reason:
                 return
-            exact, slope = self._direction(snes, y, residual, direction, length)
+            exact, slope = self._direction(snes, y, residual, direction)
             if slope is None:
                 snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
                 return
@@ -190,13 +202,13 @@ class Newton:
             self.problem.predict(there, step)
             there.axpy(1.0, step)
             new = self._energy(there)
+            self.problem.residual(there, residual)
             if new < best:
                 best = new
                 there.copy(trial)
-                self.problem.residual(there, trial_residual)
+                residual.copy(trial_residual)
             elif best < energy:
                 break
-            self.problem.residual(there, residual)
             if not np.isfinite(residual.norm()) or not self._factor(snes, there, "mixed"):
                 break
             self._apply_inverse(snes, residual, step)
@@ -229,7 +241,7 @@ class Newton:
 
     # ---- direction ----
 
-    def _direction(self, snes, y, residual, direction, length) -> tuple[bool, float | None]:
+    def _direction(self, snes, y, residual, direction) -> tuple[bool, float | None]:
         """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
         self._wait -= 1
         exact = self._wait < 0
@@ -269,9 +281,7 @@ class Newton:
         if shift > 0.0:
             if self._mass is None:
                 self._mass = self.problem.mass()
-            shifted = self._mass.copy()
-            shifted.scale(shift)
-            matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
+            add_mass(matrix, self._mass, shift)
         pc = snes.ksp.pc
         with self._timed():
             if not self.usable:

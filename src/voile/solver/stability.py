@@ -6,16 +6,14 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from voile.problem.discrete import Problem
-from voile.solver.newton import negative_pivots
+from voile.solver.newton import add_mass, negative_pivots, use_cholesky
 
 
-def factored(matrix: PETSc.Mat, prefix: str = "") -> PETSc.PC:
-    """LDL^T of a matrix by MUMPS, options under `prefix`; raises PETSc.Error if it fails."""
+def factored(matrix: PETSc.Mat) -> PETSc.PC:
+    """LDL^T of a matrix by MUMPS; raises PETSc.Error if it fails."""
     pc = PETSc.PC().create(comm=matrix.comm)
     pc.setOperators(matrix)
-    pc.setType(PETSc.PC.Type.CHOLESKY)
-    pc.setFactorSolverType("mumps")
-    pc.setOptionsPrefix(prefix)
+    use_cholesky(pc)
     pc.setFromOptions()
     pc.setUp()
     return pc
@@ -31,9 +29,7 @@ def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tu
     shift = scale
     for _ in range(60):
         shifted = tangent.copy()
-        moved = mass.copy()
-        moved.scale(shift)
-        shifted.setDiagonal(moved, addv=PETSc.InsertMode.ADD_VALUES)
+        add_mass(shifted, mass, shift)
         pc = factored(shifted)
         below = negative_pivots(pc)
         pc.destroy()
@@ -56,8 +52,7 @@ def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tu
     st.setType(SLEPc.ST.Type.SINVERT)
     ksp = st.getKSP()
     ksp.setType(PETSc.KSP.Type.PREONLY)
-    ksp.pc.setType(PETSc.PC.Type.CHOLESKY)
-    ksp.pc.setFactorSolverType("mumps")
+    use_cholesky(ksp.pc)
     eps.setFromOptions()
     eps.solve()
     if eps.getConverged() < 1:

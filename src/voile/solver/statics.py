@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from voile.errors import NotConverged
 from voile.problem.discrete import Problem
-from voile.solver.newton import Newton
+from voile.solver.newton import Newton, use_cholesky
 from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
@@ -71,8 +71,7 @@ def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton
         snes.setObjective(lambda _, y: problem.energy(y))
     ksp = snes.ksp
     ksp.setType(PETSc.KSP.Type.PREONLY)
-    ksp.pc.setType(PETSc.PC.Type.CHOLESKY)
-    ksp.pc.setFactorSolverType("mumps")
+    use_cholesky(ksp.pc)
     options = PETSc.Options()
     for name, value in DEFAULTS.items():
         if not options.hasName(name):
