@@ -211,7 +211,7 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
             point_data={"input_vertex": model.surface.input_vertex},
         )
     versions = {"petsc": ".".join(map(str, PETSc.Sys.getVersion())), "python": platform.python_version()}
-    writing = 0.0
+    writing, reached = 0.0, 0
     with ResultWriter(
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions
     ) as writer:
@@ -229,8 +229,10 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
             writing += time.perf_counter() - start
 
         def on_step(step, y) -> None:
+            nonlocal reached
             progress.step(step)
-            if step.factor >= 1.0 or (writer.steps + 1) % scene.output.every == 0 or scene.output.every == 1:
+            reached += 1
+            if step.factor >= 1.0 or reached % scene.output.every == 0:
                 write(step.factor, y, {"residual": step.residual, "converged": 1.0})
 
         path = solve_statics(problem, options, on_step=on_step, monitor=progress.iteration)

@@ -61,7 +61,7 @@ class Problem:
         self.model, self.gravity, self.pressure, flat, follower = comm.bcast(settings)
         self.conservative = not follower
         probe = _kernels.Elastic(self.model, *_single_triangle())
-        self.directors, self.bends = probe.directors, probe.bends
+        self.directors = probe.directors
         self.part = part = distribute(shell, self.directors, comm)
         self.load_factor = 1.0
         self.seconds = {"assembly": 0.0}
