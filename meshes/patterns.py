@@ -100,7 +100,7 @@ def unstructured(loops: Sequence[np.ndarray], size: float | str) -> tuple[np.nda
     place[tags.astype(np.int64)] = np.arange(len(tags))
     points, triangles = coordinates.reshape(-1, 3)[:, :2], place[corners.astype(np.int64)].reshape(-1, 3)
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    clockwise = np.cross(b - a, c - a) < 0
+    clockwise = np.linalg.det(np.stack([b - a, c - a], axis=1)) < 0
     triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]
     return points, triangles
 

@@ -74,9 +74,7 @@ def irregular_mesh(seed=0, count=24):
     rng = np.random.default_rng(seed)
     flat = rng.random((count, 2))
     triangles = Delaunay(flat).simplices.astype(np.int32)
-    area = np.cross(
-        flat[triangles[:, 1]] - flat[triangles[:, 0]], flat[triangles[:, 2]] - flat[triangles[:, 0]]
-    )
+    area = np.linalg.det(flat[triangles[:, 1:]] - flat[triangles[:, :1]])
     triangles = triangles[abs(area) > 0.01]
     area = area[abs(area) > 0.01]
     triangles[area < 0] = triangles[area < 0][:, [0, 2, 1]]
