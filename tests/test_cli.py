@@ -270,6 +270,18 @@ def test_the_last_good_state_is_kept(scene, tmp_path):
         assert result.values[-1] == 0.25 and result.scalars()["converged"] == 1.0
 
 
+def test_every_second_step_and_the_last_are_kept(scene, tmp_path):
+    path, reached = scene(SCENE + "[statics]\nload_steps = 16\n"), []
+    for every in (1, 2):
+        out = tmp_path / f"every{every}"
+        assert voile("run", path, "-o", out, "--set", f"output.every={every}").returncode == 0
+        with read_result(out) as result:
+            reached.append(list(result.values))
+    full, half = reached
+    assert len(full) % 2 == 1 and full[-1] == 1.0  # the last is not a second one
+    assert half == [*full[1::2], full[-1]]
+
+
 def test_petsc_options_reach_the_solver(scene, tmp_path):
     own, other = tmp_path / "own", tmp_path / "other"
     stiff = SCENE.replace("young = 1e5", "young = 1e9")
