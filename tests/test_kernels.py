@@ -115,6 +115,11 @@ def test_safe_hessian(model):
     assert abs(safe - shell.hessian(z)).max() > 1e-3 * high
 
 
+def test_a_membrane_couples_neighbours_only():
+    shell, _, _ = random_problem(("membrane", "tan", "stvk"))
+    assert len(shell.column) == 9 * (len(shell.rest) + 2 * len(shell.topology.edges))
+
+
 def rotation(seed):
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))

@@ -5,6 +5,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
+
 #include "elastic.hpp"
 #include "loads.hpp"
 #include "scatter.hpp"
@@ -165,7 +167,9 @@ static void bind_scatter(nb::module_& m) {
            [](Scatter* self, Model& model, bool edges, int owned, Ints start, Ints unknown, Doubles weight) {
              sized(start, 3 * (size_t)model.mesh.vertices + model.mesh.edges + 1, "constraint rows");
              sized(weight, unknown.size(), "constraint weights");
-             new (self) Scatter(model.mesh, edges, owned, copied(start), copied(unknown), copied(weight));
+             Mesh mesh = model.mesh;
+             if (!model.elastic->bends()) std::fill(mesh.across.begin(), mesh.across.end(), -1);  // no hinges
+             new (self) Scatter(mesh, edges, owned, copied(start), copied(unknown), copied(weight));
            })
       .def("pattern",
            [](Scatter& s, Longs rank) {
