@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from voile.results import read_result, read_summary
 
@@ -321,6 +322,13 @@ def test_explain_says_what_is_modelled(scene, tmp_path):
     assert done.returncode == 0 and "+ director angles" in done.stdout and "- seams" in done.stdout
     done = voile("explain", scene(), "--set", "shell.model=membrane")
     assert "- bending" in done.stdout and "- director angles" in done.stdout
+    average = ("--set", "shell.bending=average")
+    assert "repeated cells" in voile("explain", scene(), *average).stdout
+    points = np.random.default_rng(0).random((25, 2)) * 0.1
+    points[0], points[1] = 0.0, (0.0, 0.05)
+    irregular = "".join(f"v {x} {y} 0\n" for x, y in points)
+    irregular += "".join("f {} {} {}\n".format(*t + 1) for t in Delaunay(points).simplices)
+    assert "repeated cells" not in voile("explain", scene(mesh=irregular), *average).stdout
     assert not list(tmp_path.glob("*result*"))
 
 
