@@ -8,10 +8,12 @@ from voile.errors import InputError
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
 from voile.problem.discrete import Problem
+from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, hilbert_order
 from voile.solver.newton import negative_pivots
+from voile.solver.path import StaticsOptions
 from voile.solver.stability import factored, smallest_eigenpair
-from voile.solver.statics import StaticsOptions, create_snes, solve_statics
+from voile.solver.statics import create_snes, solve_statics
 
 MODELS = ["koiter/tan/stvk", "koiter/average/neo-hookean", "discrete-shells//", "membrane//neo-hookean"]
 
@@ -206,7 +208,7 @@ def test_smallest_eigenvalue_agrees_with_the_inertia():
     matrix, y = problem.create_matrix(), problem.create_vector()
     problem.tangent(y, matrix)
     pc = factored(matrix)
-    value, mode = smallest_eigenpair(problem, matrix, problem.slow_rate())
+    value, mode = smallest_eigenpair(problem, matrix, slow_rate(problem))
     assert negative_pivots(pc) == 0 and value > 0
     image, mass = problem.create_vector(), problem.mass()
     matrix.mult(mode, image)

@@ -180,6 +180,15 @@ static void bind_scatter(nb::module_& m) {
              return nb::make_tuple(to_numpy(std::move(start), {rows}),
                                    to_numpy(std::move(column), {entries}));
            })
+      .def("add_vertices",
+           [](Scatter& s, Ints vertices, Doubles blocks) {
+             sized(blocks, 9 * vertices.size(), "vertex blocks");
+             for (size_t k = 0; k < vertices.size(); ++k) {
+               if (vertices.data()[k] < 0 || vertices.data()[k] >= s.vertices)
+                 throw nb::value_error("vertex blocks: index out of range");
+               s.add_vertex(vertices.data()[k], blocks.data() + 9 * k);
+             }
+           })
       // The arrays are written in place: the caller keeps them alive as long as the scatter.
       .def("bind",
            [](Scatter& s, Ints ai, Ints aj, Output av, Ints bi, Ints bj, Output bv, Ints ghost_columns) {

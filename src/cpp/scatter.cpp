@@ -178,6 +178,23 @@ void Scatter::zero(int begin, int end) {
 
 void Scatter::clear() { open(count()); }
 
+void Scatter::add_vertex(int vertex, const double* block) {
+  for (int i = 0; i < 3; ++i)
+    for (int p = dof_start[3 * vertex + i]; p < dof_start[3 * vertex + i + 1]; ++p) {
+      int row = dof_unknown[p];
+      if (row >= owned) continue;
+      for (int j = 0; j < 3; ++j)
+        for (int q = dof_start[3 * vertex + j]; q < dof_start[3 * vertex + j + 1]; ++q)
+          at(row, dof_unknown[q]) += dof_weight[p] * dof_weight[q] * block[3 * i + j];
+    }
+}
+
+double& Scatter::at(int row, int unknown) {
+  int place = find(row, unknown);
+  const Rows& target = place >= 0 ? inside : outside;
+  return target.value[target.start[row] + (place >= 0 ? place : ~place)];
+}
+
 void Scatter::add_expanded(int t, const double* block) {
   int dofs = nodes == NODES ? DOFS : 18;
   auto entry = [block](int i, int j) {
@@ -195,12 +212,8 @@ void Scatter::add_expanded(int t, const double* block) {
       for (int j = 0; j < dofs; ++j) {
         int column_dof = triangle_dof(t, j);
         if (column_dof < 0) continue;
-        for (int q = dof_start[column_dof]; q < dof_start[column_dof + 1]; ++q) {
-          int at = find(row, dof_unknown[q]);
-          const Rows& target = at >= 0 ? inside : outside;
-          target.value[target.start[row] + (at >= 0 ? at : ~at)] +=
-              dof_weight[p] * dof_weight[q] * entry(i, j);
-        }
+        for (int q = dof_start[column_dof]; q < dof_start[column_dof + 1]; ++q)
+          at(row, dof_unknown[q]) += dof_weight[p] * dof_weight[q] * entry(i, j);
       }
     }
   }

@@ -80,6 +80,9 @@ struct Scatter {
     for (int k = fresh_start[t]; k < fresh_start[t + 1]; k += 2) zero(fresh[k], fresh[k + 1]);
   }
 
+  // Adds a 3x3 block (row-major, any) to the degrees of freedom of one vertex; part of every pattern.
+  void add_vertex(int vertex, const double* block);
+
   // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's
   // Hessian.
   template <int L>
@@ -132,6 +135,7 @@ struct Scatter {
   void zero(int begin, int end);
   void order_rows();
   void add_expanded(int t, const double* block);
+  double& at(int row, int unknown);
   int find(int row, int unknown) const;  // place in the row as in position, ABSENT if not there
   int triangle_dof(int t, int k) const;  // global dof of the triangle's k-th, -1 absent
   int count() const { return (int)(triangle_node.size() / NODES); }

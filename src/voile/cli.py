@@ -13,6 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread per rank; befor
 
 from voile.errors import InputError, NotConverged
 
+NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
@@ -186,10 +187,12 @@ def _collective(comm, action):
 def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     from petsc4py import PETSc
 
+    from voile.problem.contact import attach, contact_fields
     from voile.problem.discrete import Problem
     from voile.results import ResultWriter, StaticMesh
+    from voile.solver.path import StaticsOptions
     from voile.solver.sewing import sew
-    from voile.solver.statics import StaticsOptions, solve_statics
+    from voile.solver.statics import solve_statics
 
     s = scene.statics
     options = StaticsOptions(
@@ -197,6 +200,7 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     )
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
+    attach(problem, *comm.bcast((model.obstacles, model.offset) if model else None))
     part = problem.part
     mesh = None
     if model is not None and shell is not None:
@@ -225,7 +229,12 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
             directors = {}
             if problem.directors:
                 directors = {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
-            writer.write_step(factor, x[own], part.vertex[own], scalars=scalars, **directors)
+            point_data = {}
+            if problem.contact:
+                point_data = {name: values[own] for name, values in contact_fields(problem, y).items()}
+            writer.write_step(
+                factor, x[own], part.vertex[own], scalars=scalars, point_data=point_data, **directors
+            )
             writing += time.perf_counter() - start
 
         def on_step(step, y) -> None:
@@ -266,7 +275,8 @@ def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, flo
             "residual_norm": last.residual if last else None,
             "residual_tolerance": last.tolerance if last else None,
             "energy": last.energies if last else {},
-            "contact": {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0},
+            "contact": (last.contact if last else None) or NO_CONTACT,
+            "ways": [step.way for step in path.steps],
             "stable": path.stable,
             "smallest_eigenvalue": path.smallest_eigenvalue,
             "wall_time_s": seconds,
@@ -315,8 +325,15 @@ class Progress:
         energy = sum(step.energies.values())
         self.line(
             f"load {step.factor:.4f}  Newton {step.iterations:3d}  residual {step.residual:.2e} N "
-            f"(<= {step.tolerance:.2e})  energy {energy:.6e} J  {time.perf_counter() - self.began:.1f} s"
+            f"(<= {step.tolerance:.2e})  energy {energy:.6e} J  {_touching(step)}"
+            f"{time.perf_counter() - self.began:.1f} s"
         )
+
+
+def _touching(step) -> str:
+    """What a step's contact is, for a line of progress; empty without."""
+    c = step.contact
+    return f"contact {c['active']} ({c['slip']} slip, {step.way})  " if c else ""
 
 
 if __name__ == "__main__":

@@ -74,8 +74,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
             bool(shell.motion.any()),
             "fix.move" if shell.motion.any() else "no support moves",
         ),
-        ("contact", False, "no [[obstacle]]"),
-        ("friction", False, "no [[obstacle]]"),
+        ("contact", bool(model.obstacles), _contact(model)),
+        ("friction", any(o.friction > 0.0 for o in model.obstacles), _friction(model)),
         (
             "mass",
             False,
@@ -83,6 +83,28 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ),
     ]
     return rows
+
+
+def _solver(model: Model) -> str:
+    if not model.obstacles:
+        return "Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
+    return "semismooth Newton (then augmented Lagrangian, then pseudo-time), MUMPS LDL^T, LU where something slips"
+
+
+def _contact(model: Model) -> str:
+    """What the obstacles are, and how much of the shell touches them at the start."""
+    if not model.obstacles:
+        return "no [[obstacle]]"
+    gaps = [obstacle.gap(model.shell.points, 0.0) for obstacle in model.obstacles]
+    touching = int((np.min(gaps, axis=0) <= model.offset).sum())
+    names = ", ".join(obstacle.name for obstacle in model.obstacles)
+    return f"{names}; {touching} vertices touch at the start; reactions are multipliers of what touches, no unknowns"
+
+
+def _friction(model: Model) -> str:
+    if not model.obstacles:
+        return "no [[obstacle]]"
+    return "friction " + ", ".join(f"{o.friction:g} on {o.name}" for o in model.obstacles)
 
 
 def _repeats_cells(shell: Shell) -> bool:
@@ -111,7 +133,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"file      {model.surface.source}",
         f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
-        "solver    Newton (mixed steps, then descent on the potential), MUMPS LDL^T; PETSc options after --",
+        f"solver    {_solver(model)}; PETSc options after --",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
         f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
         "",

@@ -1,10 +1,12 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by cli only."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
+from voile.contact import obstacles
+from voile.contact.obstacles import Motion, Obstacle
 from voile.elastic import model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, read_mesh, read_rest, select
@@ -12,6 +14,8 @@ from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, triangle_areas
 from voile.problem.supports import check_supports
 from voile.scene import Scene
+
+DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 
 
 @dataclass
@@ -22,6 +26,8 @@ class Model:
     surface: Surface
     rest: Rest
     notes: list[str]
+    obstacles: list[Obstacle]
+    offset: float  # m, from the mid-surface to the surface that touches
 
 
 def build_model(scene: Scene) -> Model:
@@ -56,8 +62,15 @@ def build_model(scene: Scene) -> Model:
         topology=topology,
         **_seams(surface),
     )
-    check_supports(shell)
-    return Model(shell, surface, rest, list(surface.notes))
+    bodies = build_obstacles(scene)
+    offset = scene.contact.offset
+    if offset is None:
+        offset = 0.5 * float(shell.thickness.max())
+    if bodies:
+        check_depth(bodies, shell, offset)
+    else:
+        check_supports(shell)
+    return Model(shell, surface, rest, list(surface.notes), bodies, offset)
 
 
 def _seams(surface: Surface) -> dict[str, np.ndarray]:
@@ -140,6 +153,58 @@ def _moments(
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         total[rim] += moment.value * length / length.sum()
     return total
+
+
+_SHAPES = {
+    "plane": obstacles.Plane,
+    "sphere": obstacles.Sphere,
+    "cylinder": obstacles.Cylinder,
+    "capsule": obstacles.Capsule,
+    "cone": obstacles.Cone,
+    "torus": obstacles.Torus,
+    "ellipsoid": obstacles.Ellipsoid,
+    "box": obstacles.Box,
+}
+
+
+def build_obstacles(scene: Scene) -> list[Obstacle]:
+    """The scene's obstacles in the order of the file."""
+    found = []
+    for k, spec in enumerate(scene.obstacle):
+        move = spec.move
+        motion = Motion()
+        if move is not None:
+            motion = Motion(
+                displacement=np.array(move.displacement),
+                rotation=np.array(move.rotation),
+                center=np.array(move.center),
+            )
+        if spec.shape not in _SHAPES:
+            raise InputError(
+                f"{scene.path}: obstacle.{k}: this version cannot run shape = {spec.shape!r} yet"
+            )
+        shape = _SHAPES[spec.shape]
+        own = {f.name for f in fields(shape)} - {"name", "friction", "motion"}
+        values = {name: getattr(spec, name) for name in own}
+        geometry = {n: np.array(v, dtype=float) if isinstance(v, tuple) else v for n, v in values.items()}
+        found.append(shape(name=f"{spec.shape} {k}", friction=spec.friction, motion=motion, **geometry))
+    return found
+
+
+def check_depth(bodies: list[Obstacle], shell: Shell, offset: float) -> None:
+    """Raises InputError where a vertex that can move starts deeper inside an obstacle than a push could mend."""
+    limit = DEEPEST * float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    free = ~shell.fixed.all(axis=1)
+    for k, obstacle in enumerate(bodies):
+        gap = np.where(free, obstacle.gap(shell.points, 0.0) - offset, np.inf)
+        worst = int(np.argmin(gap))
+        if gap[worst] < -limit:
+            x = ", ".join(f"{c:.4g}" for c in shell.points[worst])
+            raise InputError(
+                f"obstacle.{k}: the shell starts {-gap[worst]:.4g} m deep inside {obstacle.name} at vertex {worst} "
+                f"({x}), {int((gap < -limit).sum())} vertices deeper than {limit:.4g} m; move the obstacle or the "
+                f"shell apart, or let the obstacle come by obstacle.move"
+            )
 
 
 def weight(shell: Shell) -> float:

@@ -13,7 +13,8 @@ from mpi4py import MPI
 from voile.elastic import model_name
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
-from voile.solver.statics import Path, StaticsOptions, require, solve_statics
+from voile.solver.path import Path, StaticsOptions, require
+from voile.solver.statics import solve_statics
 
 
 class Row(NamedTuple):

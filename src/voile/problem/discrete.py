@@ -1,19 +1,23 @@
 """The discrete problem on PETSc's layout: potential, residual and tangent of a distributed shell."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _kernels, _petsc
+from voile.contact.state import Contact
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
+from voile.problem.follower import pressure_energy, pressure_force
 from voile.problem.partition import Part, cut, number_unknowns
 from voile.problem.shell import Shell
 
+Blocks = Iterable[tuple[np.ndarray, np.ndarray]]
 ENERGIES = ("stretching", "bending", "gravity", "pressure", "force")
 
 
@@ -36,6 +40,19 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     for rank in range(1, comm.size):
         comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
     return cut(shell, constraints, numbering, 0, clamps)
+
+
+@dataclass
+class Anchor:
+    """A pull towards `home` (unknowns), rate (1/s^2) times the diagonal mass: one step of pseudo-time."""
+
+    home: PETSc.Vec
+    rate: float
+    mass: PETSc.Vec
+
+    def pull(self, y: PETSc.Vec) -> PETSc.Vec:
+        """rate * mass * (y - home), N."""
+        return self.rate * (self.mass * (y - self.home))
 
 
 class Problem:
@@ -64,6 +81,8 @@ class Problem:
         self.directors = probe.directors
         self.part = part = distribute(shell, self.directors, comm)
         self.load_factor = 1.0
+        self.contact: Contact | None = None
+        self.anchor: Anchor | None = None
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
         self._flat = flat
@@ -75,8 +94,8 @@ class Problem:
         self._vertex_force[: self._size[0]] = (
             part.mass[: self._size[0]].reshape(-1, 3) * self.gravity
         ).ravel()
-        self._own = np.zeros(len(part.vertex), dtype=bool)
-        self._own[part.owned_vertices] = True
+        self.own = np.zeros(len(part.vertex), dtype=bool)
+        self.own[part.owned_vertices] = True
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._length = self._measure()
         self._make_vectors()
@@ -194,19 +213,33 @@ class Problem:
             stretching, bending = self.kernel.energy(u, phi)
         own = np.zeros(len(ENERGIES))
         own[:2] = stretching, bending
-        factor, rows = self.load_factor, np.repeat(self._own, 3)
+        factor, rows = self.load_factor, self.own_dofs()
         own[2] = -factor * np.dot(self._vertex_force[: len(u)] * rows, self._base + u)
-        own[3] = self._pressure_energy(u)
+        if self.pressure:
+            own[3] = factor * pressure_energy(self._positions(u), self.part, self.pressure)
         own[4] = -factor * np.dot(self.part.force[: len(u)] * rows, self._base + u)
         return dict(zip(ENERGIES, self.comm.allreduce(own), strict=True))
 
     def energy(self, y: PETSc.Vec) -> float:
-        """The potential (J)."""
-        return float(sum(self.energies(y).values()))
+        """The potential (J), with those of contact and of the pull towards the anchor."""
+        total = float(sum(self.energies(y).values()))
+        if self.contact:
+            total += self.comm.allreduce(self.contact.energy(self.positions(y), self.load_factor))
+        if self.anchor:
+            total += 0.5 * self.anchor.pull(y).dot(y - self.anchor.home)
+        return total
 
-    def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
-        """Writes the gradient of the potential (N; N m for directors) to f."""
-        f.array[:] = self._collect @ self._forces(y)
+    def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: np.ndarray | None = None) -> None:
+        """Writes the gradient of the potential (N; N m for directors) to f. reactions (local vertices, 3): contact
+        forces on the shell (N) in place of the potential's own."""
+        forces = self._forces(y)
+        if self.contact:
+            if reactions is None:
+                reactions = self.contact.force(self.positions(y), self.load_factor, frozen=True)
+            forces[: self._size[0]] -= reactions.ravel()
+        f.array[:] = self._collect @ forces
+        if self.anchor:
+            f.axpy(1.0, self.anchor.pull(y))
 
     def _forces(self, y: PETSc.Vec) -> np.ndarray:
         """Gradient of the potential in all local dofs; complete for those of this rank."""
@@ -220,7 +253,7 @@ class Problem:
         """External forces on all local dofs; complete for those of this rank."""
         total = self.load_factor * (self._vertex_force + self.part.force)
         if self.pressure:
-            total[: len(u)] += self._pressure_force(u)
+            total[: len(u)] += self.load_factor * pressure_force(self._positions(u), self.part, self.pressure)
         if self.part.moment.any():
             moment = self.load_factor * self.part.moment
             turning = np.zeros_like(u)
@@ -239,7 +272,7 @@ class Problem:
     def reaction_norm(self, y: PETSc.Vec) -> float:
         """Norm of the supports' reactions (N)."""
         part = self.part
-        held = part.fixed[: self._size[0]] & np.repeat(self._own, 3)
+        held = part.fixed[: self._size[0]] & self.own_dofs()
         reaction = self._forces(y)[: self._size[0]][held]
         return float(np.sqrt(self.comm.allreduce(float(reaction @ reaction))))
 
@@ -248,9 +281,12 @@ class Problem:
         held = self.part.fixed[: self._size[0]]
         return (self._forces(y)[: self._size[0]] * held).reshape(-1, 3)
 
-    def tangent(self, y: PETSc.Vec, matrix: PETSc.Mat, kind: str = "exact") -> None:
+    def tangent(
+        self, y: PETSc.Vec, matrix: PETSc.Mat, kind: str = "exact", contact: Blocks | None = None
+    ) -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
-        or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`)."""
+        or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). contact: what contact
+        adds at vertices, (indices, (p, 3, 3) N/m) each, in place of the potential's own."""
         if matrix.handle != self._bound:
             self._bind(matrix)
         u, phi = self._shape(y)
@@ -262,7 +298,13 @@ class Problem:
                 _kernels.add_pressure_hessian(
                     self._scatter, self.part.corners, self._positions(u), -self.load_factor * self.pressure
                 )
+            if self.contact and contact is None:
+                contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
+            for vertices, blocks in contact or ():
+                self._scatter.add_vertices(vertices.astype(np.int32), np.ascontiguousarray(blocks))
             matrix.assemble()
+        if self.anchor:
+            matrix.setDiagonal(self.anchor.rate * self.anchor.mass, addv=PETSc.InsertMode.ADD_VALUES)
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""
@@ -278,6 +320,20 @@ class Problem:
         vector.array[:] = weights @ self.part.mass
         return vector
 
+    def motion(self, direction: PETSc.Vec) -> np.ndarray:
+        """(local vertices, 3) displacements (m) of a direction of the unknowns."""
+        return self._spread(direction)[0].reshape(-1, 3)
+
+    def mean_motion(self, direction: PETSc.Vec) -> np.ndarray:
+        """(3,) mean displacement (m) of a direction of the unknowns."""
+        own = self.motion(direction)[self.own]
+        total = self.comm.allreduce(np.array([*own.sum(axis=0), len(own)]))
+        return total[:3] / total[3]
+
+    def everywhere(self, here: bool) -> bool:
+        """Whether something holds on all ranks."""
+        return bool(self.comm.allreduce(here, op=MPI.LAND))
+
     # ---- scales ----
 
     def largest_motion(self, direction: PETSc.Vec) -> float:
@@ -291,6 +347,14 @@ class Problem:
         total = self.comm.allreduce(np.array([part.fabric[0] @ part.weight, part.weight.sum()]))
         return float(total[0] / total[1])
 
+    def own_dofs(self) -> np.ndarray:
+        """(3 local vertices,) marks the displacements that are counted on this rank."""
+        return np.repeat(self.own, 3)
+
+    def weight_force(self) -> np.ndarray:
+        """(local dofs,) gravity at load factor 1 (N)."""
+        return self._vertex_force
+
     def size(self) -> float:
         """Diagonal of the start shape's bounding box (m)."""
         return self._length
@@ -300,69 +364,12 @@ class Problem:
         high = self.comm.allreduce(self.part.points.max(axis=0, initial=-np.inf), op=_maximum)
         return float(np.linalg.norm(high - low))
 
-    def slow_rate(self) -> float:
-        """1/s^2: inverse square of the time in which the load would move the shell's mass by its own size; with
-        weak loads that of the slowest elastic waves."""
-        part, rows = self.part, np.repeat(self._own, 3)
-        count = len(rows)
-        force = (self._vertex_force + part.force)[:count][rows]
-        mass = part.mass[:count][rows]
-        wave = (
-            part.fabric[1] @ part.weight / max(part.fabric[3] @ part.weight, 1e-300)
-            if len(part.weight)
-            else 0.0
-        )
-        total = self.comm.allreduce(np.array([force @ force, mass @ mass]))
-        wave = self.comm.allreduce(wave, op=MPI.MAX)
-        size = self.size()
-        return float(max(np.sqrt(total[0] / total[1]) / size, 1e-9 * wave / size**2))
-
-    def force_floor(self) -> float:
-        """Round-off of the residual at a shape far from the start (N): what no tolerance without loads goes below."""
-        part = self.part
-        stiffness = part.weight * part.fabric[0] * part.fabric[1]
-        total = self.comm.allreduce(float(stiffness @ stiffness))
-        return 1e-14 * float(np.sqrt(total)) * self.size() / max(np.sqrt(self.unknowns), 1.0)
-
-    def round_off(self, y: PETSc.Vec) -> tuple[float, float]:
-        """Norms of the residual's change (N) when every unknown changes by its last place, which `rebase` can help,
-        and of what the last places of the positions make of its evaluation, which nothing can."""
-        sign = np.where(np.arange(len(y.array_r)) % 7 % 2, 1.0, -1.0)
-        step = y.duplicate()
-        step.array[:] = np.finfo(float).eps * sign * y.array_r
-        here, ahead = (self._residual_at(y, step, side) for side in (0.0, 1.0))
-        stored = (ahead - here).norm()
-        step.array[:] = np.finfo(float).eps * sign * self._length
-        ahead, back = (self._residual_at(y, step, side) for side in (1.0, -1.0))
-        return stored, (ahead + back - 2.0 * here).norm() / np.sqrt(6.0)  # the linear part cancels
-
-    def _residual_at(self, y: PETSc.Vec, step: PETSc.Vec, length: float) -> PETSc.Vec:
-        there, f = y.duplicate(), y.duplicate()
-        there.waxpy(length, step, y)
-        self.residual(there, f)
-        return f
-
-    # ---- follower loads ----
+    def positions(self, y: PETSc.Vec) -> np.ndarray:
+        """(local vertices, 3) positions of unknowns y (m)."""
+        return self._positions(self._shape(y)[0])
 
     def _positions(self, u: np.ndarray) -> np.ndarray:
         return self.part.points + (self._base + u).reshape(-1, 3)
-
-    def _pressure_energy(self, u: np.ndarray) -> float:
-        """-p V with V the volume under the surface (sum of x0.(x1 x x2)/6)."""
-        if not self.pressure:
-            return 0.0
-        x = self._positions(u)[self.part.corners]
-        volume = np.einsum("ti,ti->t", x[:, 0], np.cross(x[:, 1], x[:, 2])) / 6.0
-        return -self.load_factor * self.pressure * float(volume @ self.part.weight)
-
-    def _pressure_force(self, u: np.ndarray) -> np.ndarray:
-        """p A n / 3 at each corner."""
-        x = self._positions(u)[self.part.corners]
-        share = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) * (self.load_factor * self.pressure / 6.0)
-        force = np.zeros((len(self.part.vertex), 3))
-        for k in range(3):
-            np.add.at(force, self.part.corners[:, k], share)
-        return force.ravel()
 
 
 def _minimum(a: np.ndarray, b: np.ndarray) -> np.ndarray:

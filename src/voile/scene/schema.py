@@ -110,6 +110,17 @@ class Move:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BodyMove:
+    displacement: Vector3 = key(
+        vector("m"), "displacement reached at the end of the load path", default=(0.0, 0.0, 0.0)
+    )
+    rotation: Vector3 = key(
+        vector("rad"), "rotation vector reached at the end of the load path", default=(0.0, 0.0, 0.0)
+    )
+    center: Vector3 = key(vector("m"), "point about which the body rotates", default=(0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Fix:
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
@@ -134,6 +145,7 @@ _SHAPES = {
     "cone": ("apex", "axis", "half_angle"),
     "torus": ("center", "axis", "radius", "tube"),
     "ellipsoid": ("center", "radii"),
+    "box": ("center", "sizes"),
     "mesh": ("file",),
 }
 _MESH_ONLY = ("scale", "translate")
@@ -143,10 +155,10 @@ _MESH_ONLY = ("scale", "translate")
 class Obstacle:
     shape: str = key(Choice(*_SHAPES), "shape; the keys of its geometry are required: see the other keys")
     friction: float = key(Number(least=0), "Coulomb's coefficient of friction", default=0.0)
-    move: Move | None = key(Table(Move), "prescribed motion", default=None)
+    move: BodyMove | None = key(Table(BodyMove), "prescribed rigid motion", default=None)
     point: Vector3 | None = key(vector("m"), "plane: a point of it", default=None)
     normal: Vector3 | None = key(vector(nonzero=True), "plane: outward direction, any length", default=None)
-    center: Vector3 | None = key(vector("m"), "sphere, cylinder, torus, ellipsoid: centre", default=None)
+    center: Vector3 | None = key(vector("m"), "sphere, cylinder, torus, ellipsoid, box: centre", default=None)
     axis: Vector3 | None = key(
         vector(nonzero=True), "cylinder, cone, torus: direction of the axis, any length", default=None
     )
@@ -161,6 +173,7 @@ class Obstacle:
     )
     tube: float | None = key(Number("m", above=0), "torus: radius of the tube, below radius", default=None)
     radii: Vector3 | None = key(vector("m", above=0), "ellipsoid: half axes along x, y, z", default=None)
+    sizes: Vector3 | None = key(vector("m", above=0), "box: half edges along x, y, z", default=None)
     file: Path | None = key(File(), "mesh: closed triangle mesh", default=None)
     scale: float = key(Number("m", above=0), "mesh: metres per unit of the file", default=1.0)
     translate: Vector3 = key(vector("m"), "mesh: shift after scaling", default=(0.0, 0.0, 0.0))
@@ -294,7 +307,6 @@ def unsupported(scene: Scene) -> list[str]:
     asked = {
         f'scene.task = "{scene.scene.task}"': scene.scene.task != "statics",
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
-        "[[obstacle]]": bool(scene.obstacle),
         "contact.self_contact = true": scene.contact.self_contact,
     }
     return [what for what, used in asked.items() if used]

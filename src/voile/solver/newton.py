@@ -16,6 +16,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
+from voile.problem.scales import round_off, slow_rate
 
 SUFFICIENT = 1e-4  # fraction of the predicted decrease that a step must reach (Armijo)
 REACH = 0.2  # longest full step: displacement over the size of the shell
@@ -48,6 +49,14 @@ def add_mass(matrix: PETSc.Mat, mass: PETSc.Vec, shift: float) -> None:
     shifted = mass.copy()
     shifted.scale(shift)
     matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
+
+
+@contextmanager
+def timed(solver) -> Iterator[None]:
+    """Adds the time within to solver.seconds."""
+    began = time.perf_counter()
+    yield
+    solver.seconds += time.perf_counter() - began
 
 
 def use_cholesky(pc: PETSc.PC) -> None:
@@ -221,7 +230,7 @@ class Newton:
         self._idle = 0 if norm < 0.5 * self._best else self._idle + 1
         self._best = min(norm, self._best)
         if self._idle >= IDLE:
-            noise = max(self.problem.round_off(y))
+            noise = max(round_off(self.problem, y))
             self.stalled = norm / NEAR < noise < FAR * norm
         return self.stalled
 
@@ -263,15 +272,9 @@ class Newton:
         return slope if np.isfinite(slope) and slope < 0.0 else None
 
     def _apply_inverse(self, snes, residual, direction) -> None:
-        with self._timed():
+        with timed(self):
             snes.ksp.solve(residual, direction)
         direction.scale(-1.0)
-
-    @contextmanager
-    def _timed(self) -> Iterator[None]:
-        began = time.perf_counter()
-        yield
-        self.seconds += time.perf_counter() - began
 
     def _factor(self, snes: PETSc.SNES, y: PETSc.Vec, kind: str) -> bool:
         """Assembles and factors; False if that fails or the matrix is not positive definite."""
@@ -283,7 +286,7 @@ class Newton:
                 self._mass = self.problem.mass()
             add_mass(matrix, self._mass, shift)
         pc = snes.ksp.pc
-        with self._timed():
+        with timed(self):
             if not self.usable:
                 pc.reset()  # PETSc leaves a MUMPS instance that failed once as it is
             snes.ksp.setOperators(matrix)
@@ -312,7 +315,7 @@ class Newton:
 
     def _first_shift(self) -> float:
         """Inverse square of the time (s) in which the load moves the shell by about its size."""
-        return self.problem.slow_rate()
+        return slow_rate(self.problem)
 
     # ---- line search ----
 

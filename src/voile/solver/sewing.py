@@ -7,6 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
+from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell
 from voile.solver.newton import Newton
 from voile.solver.statics import create_snes
@@ -54,7 +55,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
         )
     problem = Problem(loose, comm)
     snes, newton = create_snes(problem, problem.create_matrix())
-    newton.least_shift = problem.slow_rate()
+    newton.least_shift = slow_rate(problem)
     snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=MOST_STEPS)
     snes.setConvergenceTest(lambda _snes, _it, _norms: _settled(newton))
     y = problem.create_vector()

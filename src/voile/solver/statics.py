@@ -1,14 +1,14 @@
 """Equilibria along a load path: adaptive load steps around Newton's method, off unstable branches, to stable ends."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from petsc4py import PETSc
 
-from voile.errors import NotConverged
 from voile.problem.discrete import Problem
+from voile.problem.scales import round_off, slow_rate
 from voile.solver.newton import Newton, use_cholesky
+from voile.solver.path import LoadStep, Monitor, Path, Progress, StaticsOptions, tolerance
+from voile.solver.quasistatic import follow_contact
 from voile.solver.stability import smallest_eigenpair
 
 EASY = 8  # Newton iterations up to which a load step grows
@@ -16,47 +16,6 @@ SMALLEST_STEP = 1e-5
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
 PATIENT_CUTS = 8  # the same where loads have no potential to descend on
-
-
-@dataclass
-class StaticsOptions:
-    """load_steps: first step is 1/load_steps; max_steps: attempts in all; perturbation off unstable branches in
-    thicknesses; tolerance: residual over the load's norm; stability: test the end state, eigenvalue: with its
-    smallest eigenvalue."""
-
-    load_steps: int = 10
-    max_steps: int = 1000
-    perturbation: float = 1.0
-    tolerance: float = 1e-8
-    stability: bool = True
-    eigenvalue: bool = False
-
-
-@dataclass
-class LoadStep:
-    """One converged equilibrium of the path."""
-
-    factor: float
-    iterations: int
-    residual: float
-    tolerance: float
-    energies: dict[str, float]
-    negative: int | None
-
-
-@dataclass
-class Path:
-    """The outcome: `state` is the last converged one (unknowns), also when `converged` is False."""
-
-    state: PETSc.Vec
-    converged: bool = False
-    reason: str = ""
-    steps: list[LoadStep] = field(default_factory=list)
-    newton_iterations: int = 0
-    attempts: int = 0
-    stable: bool | None = None
-    smallest_eigenvalue: float | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton]:
@@ -89,9 +48,6 @@ DEFAULTS = {
     "snes_divergence_tolerance": "-3",
 }
 
-Progress = Callable[[LoadStep, PETSc.Vec], None]
-Monitor = Callable[[float, int, float], None]
-
 
 def solve_statics(
     problem: Problem,
@@ -110,7 +66,8 @@ def solve_statics(
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
     try:
-        _follow(problem, snes, newton, y, options, path, on_step)
+        follow = follow_contact if problem.contact else _follow
+        follow(problem, snes, newton, y, options, path, on_step)
     finally:
         snes.destroy()  # its callbacks refer back to the problem
     return path
@@ -157,19 +114,12 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
     path.converged, path.reason = True, "residual below tolerance"
 
 
-def require(path: Path) -> Path:
-    """The path itself, or NotConverged with the reason."""
-    if not path.converged:
-        raise NotConverged(f"statics did not converge: {path.reason}")
-    return path
-
-
 def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None:
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
     iterations, rebased = 0, False
     for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
-        wanted = _tolerance(problem, y, options)
+        wanted = tolerance(problem, y, options)
         if not math.isfinite(wanted):
             snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
             return None
@@ -180,7 +130,7 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
         iterations += snes.getIterationNumber()
         path.newton_iterations += snes.getIterationNumber()
         if newton.stalled:
-            computed = problem.round_off(y)[1] if rebased else 0.0
+            computed = round_off(problem, y)[1] if rebased else 0.0
             if computed > snes.getTolerances()[1]:
                 path.reason = f"{_reason(snes)} at load factor {target:g}; round-off is {computed:.1e} N"
                 return None
@@ -193,18 +143,9 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
             return None
         asked = snes.getTolerances()[1]
         norm = snes.getFunctionNorm()
-        if asked != wanted or norm <= _tolerance(problem, y, options):
+        if asked != wanted or norm <= tolerance(problem, y, options):
             return LoadStep(target, iterations, norm, asked, problem.energies(y), newton.negative)
     return None
-
-
-def _tolerance(problem, y, options) -> float:
-    """What the residual's norm must fall to (N): a fraction of the loads' norm; without loads of the supports'
-    reactions, but not below the round-off of an unloaded shell."""
-    loads = problem.load_norm(y)
-    if loads > 0.0:
-        return options.tolerance * loads
-    return max(options.tolerance * problem.reaction_norm(y), problem.force_floor())
 
 
 def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
@@ -215,7 +156,7 @@ def _settle(problem, snes, newton, y, done, options, path) -> LoadStep:
         path.stable = newton._factor(snes, y, "exact")
         if path.stable or attempt == 5:
             break
-        value, mode = smallest_eigenpair(problem, matrix, problem.slow_rate())
+        value, mode = smallest_eigenpair(problem, matrix, slow_rate(problem))
         path.smallest_eigenvalue = value
         if not value < 0.0:
             break

@@ -1,0 +1,220 @@
+"""One equilibrium with contact and dry friction: three ways to it, each tried where the one before fails.
+
+1. The semismooth Newton method, from where the shell is.
+2. Descent: the augmented Lagrangian with frozen reactions is a potential, minimised by the descent method of statics;
+   then the reactions are updated (a Tresca fixed point), and the semismooth method tried again.
+3. Pseudo-time: implicit steps in which the shell's mass pulls it back to where the step started; slip is measured from
+   there. The pull fades as steps become easy. A shell that nothing holds slides on and on: then there is no
+   equilibrium, and the direction is known.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.contact.state import State
+from voile.problem.discrete import Anchor, Problem
+from voile.problem.scales import slow_rate
+from voile.solver.newton import Newton, negative_pivots
+from voile.solver.semismooth import MOST, Semismooth
+from voile.solver.stability import smallest_eigenpair
+
+UPDATES, ROUGHEST = 15, 1e3  # of the reactions; first tolerance of the descents over the last
+SOFTEST, HARDENING = (
+    1e-4,
+    30.0,
+)  # contact's stiffness in the first descent, over the shell's; factor per update
+PSEUDO_STEPS = 300
+FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
+ROUGH = 1e-4  # tolerance of a step of pseudo-time, of the loads
+NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
+KICKS = 5  # attempts to leave a saddle
+GONE = 1.0  # sizes of the shell after which it has slid away
+
+
+@dataclass
+class Outcome:
+    """How an equilibrium was found (`way`), or the reason why not. gone: there is none, the shell slides away."""
+
+    converged: bool
+    way: str
+    reason: str = ""
+    gone: bool = False
+
+
+class FrictionalSolver:
+    """Finds the equilibrium of a problem with contact at its load factor. `iterations` counts Newton iterations of
+    the last `solve`, `seconds` factorisations and solves of all."""
+
+    def __init__(self, problem: Problem, snes: PETSc.SNES, newton: Newton, perturbation: float = 1.0):
+        """perturbation off a saddle in thicknesses."""
+        assert problem.contact is not None
+        self.perturbation = perturbation * problem.thickness()
+        self.saddle: tuple[PETSc.Vec, State] | None = None
+        self.problem, self.contact, self.snes, self.newton = problem, problem.contact, snes, newton
+        self.semismooth = Semismooth(problem, self.contact)
+        self.iterations = 0
+
+    @property
+    def seconds(self) -> float:
+        return self.semismooth.seconds + self.newton.seconds
+
+    def solve(self, y: PETSc.Vec, wanted: float, ways: int = 3) -> Outcome:
+        """y and the contact's state end at the equilibrium with a norm under `wanted` (N), or where they were."""
+        self.iterations = 0
+        outcome = Outcome(False, "")
+        for way in (self._directly, self._by_descent, self._by_pseudo_time)[:ways]:
+            self.saddle = None
+            outcome = self._attempt(way, y, wanted)
+            if not outcome.converged and self._at_saddle():
+                outcome = self._attempt(self._off_saddle, y, wanted)
+            if outcome.converged or outcome.gone:
+                break
+        return outcome
+
+    def _attempt(self, way: Callable[[PETSc.Vec, float], Outcome], y: PETSc.Vec, wanted: float) -> Outcome:
+        """One way; puts y and the reactions back where it fails."""
+        start, state = y.copy(), self.contact.state.copy()
+        outcome = way(y, wanted)
+        if not outcome.converged:
+            start.copy(y)
+            self.contact.state = state
+        return outcome
+
+    # ---- the ways ----
+
+    def _directly(self, y: PETSc.Vec, wanted: float) -> Outcome:
+        done = self._run(self.semismooth, y, wanted, MOST)
+        if done and self.semismooth.negative:
+            self.saddle = y.copy(), self.contact.state.copy()
+            return Outcome(False, "semismooth", "the semismooth Newton method ended at a saddle")
+        return Outcome(done, "semismooth", "" if done else self._missed())
+
+    def _off_saddle(self, y: PETSc.Vec, wanted: float) -> Outcome:
+        """Leaves the last saddle found along its softest mode, further and further."""
+        assert self.saddle is not None
+        saddle, state = self.saddle
+        saddle.copy(y)
+        self.contact.state = state.copy()
+        _, mode = smallest_eigenpair(self.problem, self.stability_matrix(y), slow_rate(self.problem))
+        outcome = Outcome(False, "descent", "no way off the saddle")
+        for kick in range(KICKS):
+            y.waxpy(self.perturbation * 4.0**kick, mode, saddle)
+            self.contact.state = state.copy()
+            outcome = self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0), y, wanted)
+            if outcome.converged:
+                break
+        return outcome
+
+    def _by_descent(self, y: PETSc.Vec, wanted: float, softest: float = SOFTEST) -> Outcome:
+        """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update."""
+        contact, problem = self.contact, self.problem
+        contact.freeze(problem.positions(y), problem.load_factor)
+        rough, self.newton.descend, contact.softness = ROUGHEST * wanted, True, softest
+        try:
+            for _ in range(UPDATES):
+                if not self._run(self.newton, y, max(wanted, rough), 100):
+                    return Outcome(False, "descent", self._missed())
+                contact.adopt(problem.positions(y), problem.load_factor)
+                contact.softness = min(HARDENING * contact.softness, 1.0)
+                settled = self.snes.getIterationNumber() <= 2 or contact.softness == 1.0
+                if settled and self._attempt(self._directly, y, wanted).converged:
+                    return Outcome(True, "descent")
+                rough *= 0.1
+        finally:
+            contact.softness = 1.0
+        return Outcome(
+            False, "descent", f"{UPDATES} updates of the reactions did not converge; {self._missed()}"
+        )
+
+    def _by_pseudo_time(self, y: PETSc.Vec, wanted: float) -> Outcome:
+        problem = self.problem
+        mass, slow = problem.mass(), slow_rate(problem)
+        loads = max(problem.load_norm(y), wanted / 1e-8)
+        rate, tried, origin = FIRST_RATE * slow, np.inf, y.copy()
+        try:
+            for _ in range(PSEUDO_STEPS):
+                home, before = y.copy(), self.iterations
+                problem.anchor = Anchor(home, rate, mass)
+                if not self._pseudo_step(y, max(ROUGH * loads, wanted)):
+                    rate *= 8.0
+                    if rate > LAST_RATE * slow:
+                        return Outcome(
+                            False, "pseudo-time", f"no step of pseudo-time converges; {self._missed()}"
+                        )
+                    continue
+                pull, spent = problem.anchor.pull(y).norm(), self.iterations - before
+                if problem.largest_motion(y - origin) > GONE:
+                    return Outcome(False, "pseudo-time", self._slides(y - home), gone=True)
+                rate *= 0.1 if spent <= 6 else 0.3 if spent <= 15 else 1.0
+                if pull < min(NEAR * loads, 0.3 * tried):
+                    tried, problem.anchor = pull, None
+                    self._begin(y)
+                    if self._attempt(self._directly, y, wanted).converged:
+                        return Outcome(True, "pseudo-time")
+        finally:
+            problem.anchor = None
+        return Outcome(False, "pseudo-time", f"{PSEUDO_STEPS} steps of pseudo-time did not settle")
+
+    def _pseudo_step(self, y: PETSc.Vec, tolerance: float) -> bool:
+        self._begin(y)
+        return (
+            self._attempt(self._directly, y, tolerance).converged
+            or self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0), y, tolerance).converged
+        )
+
+    # ---- stability ----
+
+    def stability_matrix(self, y: PETSc.Vec) -> PETSc.Mat:
+        """The exact tangent with sticking vertices held and slipping ones held along the normal."""
+        matrix = self.snes.getJacobian()[0]
+        linear = self.contact.linearise(self.problem.positions(y), self.problem.load_factor)
+        self.problem.tangent(y, matrix, "exact", linear.held())
+        return matrix
+
+    def stable(self, y: PETSc.Vec) -> bool:
+        """Whether the tangent has no negative eigenvalue where contact lets the shell move."""
+        pc = self.snes.ksp.pc
+        pc.setOperators(self.stability_matrix(y))
+        pc.setUp()
+        return negative_pivots(pc) == 0
+
+    def leave(self, y: PETSc.Vec, wanted: float) -> bool:
+        """Whether a stable equilibrium was found from the saddle y, where y then is."""
+        self.saddle = y.copy(), self.contact.state.copy()
+        return self._attempt(self._off_saddle, y, wanted).converged
+
+    # ---- help ----
+
+    def _at_saddle(self) -> bool:
+        return self.saddle is not None
+
+    def _begin(self, y: PETSc.Vec) -> None:
+        self.contact.begin(self.problem.positions(y), self.problem.load_factor)
+
+    def _run(self, method: Semismooth | Newton, y: PETSc.Vec, tolerance: float, most: int) -> bool:
+        snes = self.snes
+        snes.setPythonContext(method)
+        snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=most)
+        snes.setFromOptions()
+        snes.solve(None, y)
+        self.iterations += snes.getIterationNumber()
+        return snes.getConvergedReason() > 0
+
+    def _missed(self) -> str:
+        names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
+        norm, asked = self.snes.getFunctionNorm(), self.snes.getTolerances()[1]
+        return f"norm {norm:.3e} N misses {asked:.3e} N ({names[self.snes.getConvergedReason()].lower()})"
+
+    def _slides(self, step: PETSc.Vec) -> str:
+        """Which way the shell leaves, on what."""
+        problem = self.problem
+        mean = problem.mean_motion(step)
+        way = mean / max(float(np.linalg.norm(mean)), 1e-300)
+        bodies = ", ".join(f"{o.name} (friction {o.friction:g})" for o in self.contact.obstacles)
+        return (
+            f"the shell slides: no equilibrium within its own size; it moves along "
+            f"({way[0]:.3f}, {way[1]:.3f}, {way[2]:.3f}) past {bodies}"
+        )

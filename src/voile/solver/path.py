@@ -1,0 +1,74 @@
+"""What a load path is: its options, its steps and its outcome."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from petsc4py import PETSc
+
+from voile.errors import NotConverged
+from voile.problem.discrete import Problem
+from voile.problem.scales import force_floor
+
+
+@dataclass
+class StaticsOptions:
+    """load_steps: first step is 1/load_steps; max_steps: attempts in all; perturbation off unstable branches in
+    thicknesses; tolerance: residual over the load's norm; stability: test the end state, eigenvalue: with its
+    smallest eigenvalue."""
+
+    load_steps: int = 10
+    max_steps: int = 1000
+    perturbation: float = 1.0
+    tolerance: float = 1e-8
+    stability: bool = True
+    eigenvalue: bool = False
+
+
+@dataclass
+class LoadStep:
+    """One converged equilibrium of the path; negative: eigenvalues of its tangent; contact: its figures (see
+    problem.contact); way: the method that found it."""
+
+    factor: float
+    iterations: int
+    residual: float
+    tolerance: float
+    energies: dict[str, float]
+    negative: int | None = None
+    contact: dict | None = None
+    way: str = "newton"
+
+
+@dataclass
+class Path:
+    """The outcome: `state` is the last converged one (unknowns), also when `converged` is False."""
+
+    state: PETSc.Vec
+    converged: bool = False
+    reason: str = ""
+    steps: list[LoadStep] = field(default_factory=list)
+    newton_iterations: int = 0
+    attempts: int = 0
+    stable: bool | None = None
+    smallest_eigenvalue: float | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+Progress = Callable[[LoadStep, PETSc.Vec], None]
+Monitor = Callable[[float, int, float], None]
+
+
+def require(path: Path) -> Path:
+    """The path itself, or NotConverged with the reason."""
+    if not path.converged:
+        raise NotConverged(f"statics did not converge: {path.reason}")
+    return path
+
+
+def tolerance(problem: Problem, y: PETSc.Vec, options: StaticsOptions) -> float:
+    """What the residual's norm must fall to (N): a fraction of the loads' norm; without loads of the supports'
+    reactions, but not below the round-off of an unloaded shell."""
+    loads = problem.load_norm(y)
+    if loads > 0.0:
+        return options.tolerance * loads
+    return max(options.tolerance * problem.reaction_norm(y), force_floor(problem))

@@ -1,0 +1,133 @@
+"""Semismooth Newton method for equilibrium together with Signorini's and Coulomb's laws, as a PETSc SNES.
+
+Unknowns are displacements, director angles and the reactions of the contacts that may carry one. Per iteration: one
+factorisation of the shell's tangent, to which each active contact adds a firm 3x3 block, and a few more solves with it
+that turn those into the exact linearised laws, the reactions being multipliers. Without slip the matrix is symmetric
+and the factorisation counts negative eigenvalues on the contacts' tangent space; with slip it is not, and LU serves.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.contact.state import Contact, Linearised
+from voile.problem.discrete import Problem
+from voile.solver.newton import REACH, factorisation_error, negative_pivots, timed
+
+CORRECTIONS = 3  # solves with one factorisation that turn firm stiffnesses into constraints
+MOST = 60  # iterations
+PATIENCE = 6  # iterations without halving the norm after which it will not converge, or cycles
+
+
+@dataclass
+class Iteration:
+    """One step of the semismooth method: norms of the equilibrium's residual and of the laws' mismatch (N)."""
+
+    residual: float
+    mismatch: float
+    symmetric: bool
+    changed: bool  # some pair opened, closed, stuck or slipped
+
+
+@dataclass
+class Semismooth:
+    """Python context of a SNES for a problem with contact; its function norm is that of residual and mismatch."""
+
+    problem: Problem
+    contact: Contact
+    steps: list[Iteration] = field(default_factory=list)
+    seconds: float = 0.0
+    negative: int | None = (
+        None  # negative eigenvalues on the contacts' tangent space; None where slip hides them
+    )
+
+    _lu: PETSc.PC | None = None
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
+        """Iterates until SNES's convergence test says so; sets its reason. The reactions are in `contact`."""
+        problem, matrix = self.problem, snes.getJacobian()[0]
+        f, direction, states = snes.getFunction()[0], y.duplicate(), None
+        self.steps = []
+        kind = "exact"
+        first, best, idle = 0.0, np.inf, 0
+        for it in range(MOST + 1):
+            residual, mismatch = self._norms(y, f)
+            norm = float(np.hypot(residual, mismatch))
+            first = first or norm
+            snes.setIterationNumber(it)
+            snes.setFunctionNorm(norm)
+            snes.logConvergenceHistory(norm, 0)
+            snes.monitor(it, norm)
+            idle = 0 if norm < 0.5 * best else idle + 1
+            best = min(norm, best)
+            reason = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            if norm <= 1e8 * first:
+                reason = snes.callConvergenceTest(it, y.norm(), direction.norm() if it else 0.0, norm)
+            if reason and (it or reason < 0):
+                snes.setConvergedReason(reason)
+                return
+            if it == MOST or idle > PATIENCE:
+                break
+            linear = self.contact.linearise(problem.positions(y), problem.load_factor)
+            symmetric = problem.everywhere(linear.symmetric)
+            problem.tangent(y, matrix, kind, linear.blocks())
+            pc = self._factor(snes, matrix, symmetric)
+            if pc is None:
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
+                return
+            self._direction(pc, matrix, linear, y, f, direction)
+            if not np.isfinite(direction.norm()):
+                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
+                return
+            share = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
+            direction.scale(share)
+            problem.predict(y, direction)
+            y.axpy(1.0, direction)
+            linear.reactions(share)
+            now = linear.states()
+            self.steps.append(Iteration(residual, mismatch, symmetric, now != states))
+            states, kind = now, "mixed"
+        snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
+
+    def _norms(self, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
+        problem = self.problem
+        x = problem.positions(y)
+        problem.residual(y, f, self.contact.force(x, problem.load_factor, frozen=False))
+        mismatch = problem.comm.allreduce(self.contact.mismatch(x, problem.load_factor))
+        return f.norm(), float(np.sqrt(mismatch))
+
+    def _factor(self, snes: PETSc.SNES, matrix: PETSc.Mat, symmetric: bool) -> PETSc.PC | None:
+        """Cholesky or LU of the matrix; None where it fails."""
+        pc = snes.ksp.pc if symmetric else self._unsymmetric()
+        with timed(self):
+            pc.setOperators(matrix)
+            pc.setUp()
+        if factorisation_error(pc):
+            pc.reset()
+            return None
+        self.negative = negative_pivots(pc)
+        return pc
+
+    def _unsymmetric(self) -> PETSc.PC:
+        if self._lu is None:
+            self._lu = PETSc.PC().create(comm=self.problem.comm)
+            self._lu.setOptionsPrefix("friction_")
+            self._lu.setType(PETSc.PC.Type.LU)
+            self._lu.setFactorSolverType("mumps")
+            self._lu.setFromOptions()
+        return self._lu
+
+    def _direction(self, pc, matrix, linear: Linearised, y, f, direction) -> None:
+        """The Newton step: corrects reactions and step until the firm stiffnesses carry nothing."""
+        problem = self.problem
+        direction.set(0.0)
+        image, part = direction.duplicate(), direction.duplicate()
+        for _ in range(CORRECTIONS):
+            problem.residual(y, f, linear.force())
+            matrix.mult(direction, image)
+            f.axpy(1.0, image)
+            with timed(self):
+                pc.apply(f, part)
+            direction.axpy(-1.0, part)
+            linear.advance(problem.motion(direction))
