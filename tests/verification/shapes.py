@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.integrate import trapezoid
 from scipy.optimize import brentq
-from shells import Row, make, mapped, row, solve
+from shells import Row, line_force, make, mapped, row, solve
 
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
@@ -55,20 +55,8 @@ def strip(nx: int, ny: int, width: float = 0.05, thickness: float = 1e-3, unifor
     """Strip and the mask of its tip; cells near the clamp are `uniform` times the mean length."""
     u, v, triangles, side = mapped(nx, ny, "alternating")
     points = np.column_stack([u * (uniform + (1.0 - uniform) * u), width * v, np.zeros(len(u))])
-    fixed = np.repeat(side["u0"][:, None], 3, axis=1)
     given = {"young": YOUNG, "poisson": 0.0, "thickness": thickness, **given}
-    return make(points, triangles, fixed, [side["u0"]], **given), side["u1"]
-
-
-def line_force(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """(n, 3) dead forces of a total (3,) spread evenly by length over a straight line of vertices along y."""
-    at = np.flatnonzero(line)
-    at = at[np.argsort(points[at, 1])]
-    gaps = np.diff(points[at, 1])
-    share = np.zeros(len(points))
-    share[at[:-1]] += 0.5 * gaps
-    share[at[1:]] += 0.5 * gaps
-    return share[:, None] / gaps.sum() * total
+    return make(points, triangles, side["u0"], [side["u0"]], **given), side["u1"]
 
 
 def heavy_strip(gamma: float, nx: int, ny: int, bending: str = "tan") -> tuple[Shell, np.ndarray]:
@@ -163,7 +151,7 @@ def square_plate(n: int, clamped: bool, diagonals: str = "crossed") -> tuple[She
     shell = make(
         points,
         triangles,
-        np.repeat(rim[:, None], 3, axis=1),
+        rim,
         list(side.values()) if clamped else [],
         thickness=0.01,
         young=YOUNG,

@@ -59,7 +59,8 @@ def rates(rows: list[Row], sizes: list[float]) -> list[float]:
 def make(
     points, triangles, fixed, clamped, *, thickness, young, poisson, model="koiter", bending="tan", **given
 ):
-    """A Shell of one fabric at rest where it starts; clamped: masks (n,) of lines of vertices whose edges are held."""
+    """A Shell of one fabric at rest where it starts. fixed: mask of vertices (n,) or axes (n, 3); clamped: masks
+    (n,) of lines of vertices whose edges are held."""
     one = np.ones(len(triangles))
     shell = Shell(
         points=points,
@@ -72,7 +73,7 @@ def make(
         young=young * one,
         poisson=poisson * one,
         density=1000.0 * one,
-        fixed=fixed,
+        fixed=fixed if fixed.ndim == 2 else np.repeat(fixed[:, None], 3, axis=1),
         motion=np.zeros_like(points),
         **given,
     )
@@ -98,6 +99,17 @@ def only(mask: np.ndarray) -> int:
     return int(vertex)
 
 
+def line_force(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """(n, 3) dead forces of a total (3,) spread evenly by length over a straight line of vertices along an axis."""
+    at = np.flatnonzero(line)
+    place = points[at, np.ptp(points[at], axis=0).argmax()]
+    at, place = at[np.argsort(place)], np.sort(place)
+    share = np.zeros(len(points))
+    share[at[:-1]] += 0.5 * np.diff(place)
+    share[at[1:]] += 0.5 * np.diff(place)
+    return share[:, None] / np.ptp(place) * total
+
+
 def slit_annulus(radial: int, around: int, diagonals: str = "crossed", load: float = 1.0):
     """Shell, inner and outer vertex of the loaded lip; line force 0.8 per length times `load`, other lip clamped."""
     u, v, triangles, side = mapped(radial, around, diagonals)
@@ -110,13 +122,9 @@ def lifted_lip(points, triangles, loaded, clamped, bending: str = "tan", load: f
     """The annular plate with its force along one lip; shell, inner and outer vertex of that lip."""
     lip = np.flatnonzero(loaded)
     lip = lip[np.argsort(points[lip, 0])]
-    half = 0.5 * np.diff(points[lip, 0])
-    force = np.zeros_like(points)
-    force[lip[:-1], 2] += 0.8 * load * half
-    force[lip[1:], 2] += 0.8 * load * half
-    fixed = np.repeat(clamped[:, None], 3, axis=1)
+    force = line_force(points, loaded, np.array([0.0, 0.0, 0.8 * 4.0 * load]))
     fabric = {"thickness": 0.03, "young": 21e6, "poisson": 0.0}
-    shell = make(points, triangles, fixed, [clamped], bending=bending, force=force, **fabric)
+    shell = make(points, triangles, clamped, [clamped], bending=bending, force=force, **fabric)
     return shell, lip[0], lip[-1]
 
 
@@ -199,9 +207,9 @@ def sphere_octant(n: int, thickness: float, pressure: float, model: str, materia
 def inflated_cap(size: float, pressure: float, model: str):
     """Cap of the unit sphere, 30 degrees from pole to rim, pinned at the rim; E = 1e6, nu = 0.3, h = 1e-3."""
     points, triangles = generator("spherical_cap").spherical_cap(1.0, 30.0, size)
-    fixed = np.repeat((points[:, 2] < 1e-9)[:, None], 3, axis=1)
+    rim = points[:, 2] < 1e-9
     shell = make(
-        points, triangles, fixed, [], thickness=1e-3, young=1e6, poisson=0.3, model=model, pressure=pressure
+        points, triangles, rim, [], thickness=1e-3, young=1e6, poisson=0.3, model=model, pressure=pressure
     )
     return shell, only(np.hypot(*points[:, :2].T) < 1e-9)
 
