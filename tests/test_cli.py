@@ -366,7 +366,13 @@ def test_other_failures_on_two_ranks(scene, tmp_path, mpirun):
 
 HANGING = SCENE.replace(HELD, "[[fix]]\nselect.nodes = [0, 4]")
 SEWN = SCENE.replace("clamp = true", "clamp = false")
-SCENES = {"hanging cloth": (HANGING, HORIZONTAL), "sewn panels": (SEWN, two_panels(0.02))}
+RIGHT = "[[loads.moment]]\nselect = { box = [[0.099, -1, -1], [1, 1, 1]] }\nvalue = 4e-5"
+ROLLED = SCENE.replace("-9.81]", "0.0]\n" + RIGHT)
+SCENES = {
+    "hanging cloth": (HANGING, HORIZONTAL),
+    "sewn panels": (SEWN, two_panels(0.02)),
+    "rolled sheet": (ROLLED, None),
+}
 
 
 @pytest.mark.mpi

@@ -73,10 +73,9 @@ def sheared_strip(alpha: float, nx: int, ny: int, width: float = 0.05) -> tuple[
 
 
 def rolled_strip(turns: float, nx: int, ny: int) -> tuple[Shell, np.ndarray]:
-    """Cantilever under the end moment 2 pi B b / L times `turns`, held in its plane: a full circle at one turn."""
+    """Cantilever under the end moment 2 pi B b / L times `turns`: a full circle at one turn."""
     width, thickness = 0.05, 1e-2
     shell, tip = strip(nx, ny, width, thickness)
-    shell.fixed[:, 1] = True
     topology = shell.topology
     edge = topology.triangle_edges.ravel()
     rim = (topology.across.ravel() < 0) & tip[topology.edges[edge]].all(axis=1)
@@ -361,6 +360,7 @@ CASES: dict[str, Callable[[], list[Row]]] = {
     "end shear: refinement": shear_refined,
     "roll-up: half turn": lambda: roll_refined(0.5),
     "roll-up: full circle": roll_refined,
+    "roll-up: turn and a half": lambda: roll_refined(1.5),
     "hanging strip: catenary": catenary_refined,
     "square plate: simply supported": lambda: plate_refined(False),
     "square plate: clamped": lambda: plate_refined(True),

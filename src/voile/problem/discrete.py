@@ -14,6 +14,7 @@ from voile.contact.state import Contact
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
 from voile.problem.follower import pressure_energy, pressure_force
+from voile.problem.moments import EndMoments
 from voile.problem.partition import Part, cut, number_unknowns
 from voile.problem.shell import Shell
 
@@ -80,6 +81,7 @@ class Problem:
         probe = _kernels.Elastic(self.model, *_single_triangle())
         self.directors = probe.directors
         self.part = part = distribute(shell, self.directors, comm)
+        self.moments = EndMoments(part) if part.moment.any() else None
         self.load_factor = 1.0
         self.contact: Contact | None = None
         self.anchor: Anchor | None = None
@@ -254,13 +256,8 @@ class Problem:
         total = self.load_factor * (self._vertex_force + self.part.force)
         if self.pressure:
             total[: len(u)] += self.load_factor * pressure_force(self._positions(u), self.part, self.pressure)
-        if self.part.moment.any():
-            moment = self.load_factor * self.part.moment
-            turning = np.zeros_like(u)
-            self.kernel.turn_gradient(u, np.zeros(self._size[1]), moment, turning)
-            total[: len(u)] += turning
-            part = self.part
-            np.add.at(total, len(u) + part.triangle_edges.ravel(), -moment * part.signs.ravel())
+        if self.moments:
+            total += self.load_factor * self.moments.forces(self.kernel, u)
         return total
 
     def load_norm(self, y: PETSc.Vec) -> float:
@@ -290,8 +287,9 @@ class Problem:
         if matrix.handle != self._bound:
             self._bind(matrix)
         u, phi = self._shape(y)
-        if self.part.moment.any():
+        if self.moments:
             self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
+            self.moments.linearise(self._positions(u))
         with self._timed():
             self.kernel.hessian(u, phi, kind, self._scatter)
             if self.pressure and kind != "safe":
@@ -305,6 +303,13 @@ class Problem:
             matrix.assemble()
         if self.anchor:
             matrix.setDiagonal(self.anchor.rate * self.anchor.mass, addv=PETSc.InsertMode.ADD_VALUES)
+
+    def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is
+        symmetric: the skew part of end moments."""
+        motion = np.concatenate(self._spread(direction))
+        if self.moments:
+            f.array[:] -= self.load_factor * (self._collect @ self.moments.skew_forces(motion))
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""

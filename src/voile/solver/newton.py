@@ -79,6 +79,18 @@ def _more_work_space(pc: PETSc.PC) -> bool:
     return percent <= MOST_WORK_SPACE
 
 
+class Skewed:
+    """Context of a PETSc Mat of type python: the tangent, which is symmetric, and the skew part of the loads'."""
+
+    def __init__(self, problem: Problem, tangent: PETSc.Mat):
+        self.problem, self.tangent = problem, tangent
+
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = derivative of the residual along x."""
+        self.tangent.mult(x, y)
+        self.problem.add_skew(x, y)
+
+
 @dataclass
 class Step:
     """What the iterations did, for progress and tests."""
@@ -289,17 +301,23 @@ class Newton:
         with timed(self):
             if not self.usable:
                 pc.reset()  # PETSc leaves a MUMPS instance that failed once as it is
-            snes.ksp.setOperators(matrix)
+            snes.ksp.setOperators(self._operator(matrix), matrix)
             pc.setUp()
             while factorisation_error(pc) in WORK_SPACE and _more_work_space(pc):
                 pc.reset()
-                snes.ksp.setOperators(matrix)
+                snes.ksp.setOperators(self._operator(matrix), matrix)
                 pc.setUp()
         self.usable = not factorisation_error(pc)
         negative = negative_pivots(pc)
         if kind != "safe" and self.shift == 0.0:
             self.negative = negative
         return not negative
+
+    def _operator(self, matrix: PETSc.Mat) -> PETSc.Mat:
+        """The linear systems' matrix: the tangent, with its skew part where loads have no potential."""
+        if self.problem.conservative:
+            return matrix
+        return PETSc.Mat().createPython(matrix.getSizes(), Skewed(self.problem, matrix), matrix.comm)
 
     def _regularise(self) -> bool:
         """Raises the shift (pseudo-transient continuation); False when it is beyond use."""

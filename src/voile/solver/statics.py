@@ -14,6 +14,7 @@ from voile.solver.stability import smallest_eigenpair
 EASY = 8  # Newton iterations up to which a load step grows
 SMALLEST_STEP = 1e-5
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
+LINEAR = 1e-10  # GMRES' tolerance; preconditioned by the symmetric part's factor it takes 3 to 5 iterations
 FAST_CUTS = 2  # failures of the fast steps before the descent method takes over
 PATIENT_CUTS = 8  # the same where loads have no potential to descend on
 
@@ -29,7 +30,8 @@ def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton
     if problem.conservative:
         snes.setObjective(lambda _, y: problem.energy(y))
     ksp = snes.ksp
-    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.setType(PETSc.KSP.Type.PREONLY if problem.conservative else PETSc.KSP.Type.GMRES)
+    ksp.setTolerances(rtol=LINEAR)
     use_cholesky(ksp.pc)
     options = PETSc.Options()
     for name, value in DEFAULTS.items():
