@@ -257,6 +257,7 @@ def test_what_did_not_converge_says_so(scene, tmp_path):
     assert done.returncode == 3 and done.stderr.count("\n") == 1
     assert "max_steps = 5 load steps ended at load factor 0" in done.stderr and str(out) in done.stderr
     summary = read_summary(out / "summary.json")
+    assert "-0.0" not in map(str, old["energy"].values())
     assert old["converged"] and not summary["converged"] and "max_steps" in summary["reason"]
     assert summary["stable"] is None
     with read_result(out) as result:

@@ -220,7 +220,7 @@ class Problem:
         if self.pressure:
             own[3] = factor * pressure_energy(self._positions(u), self.part, self.pressure)
         own[4] = -factor * np.dot(self.part.force[: len(u)] * rows, self._base + u)
-        return dict(zip(ENERGIES, self.comm.allreduce(own), strict=True))
+        return dict(zip(ENERGIES, self.comm.allreduce(own) + 0.0, strict=True))  # + 0.0: not -0.0
 
     def energy(self, y: PETSc.Vec) -> float:
         """The potential (J), with those of contact and of the pull towards the anchor."""
