@@ -1,0 +1,126 @@
+"""Discrete frictional contact problems and their solutions in HDF5.
+
+Two layouts are read: W as compressed rows (W/data, W/indices, W/indptr, W/shape), q and mu at the root; and FCLIB's
+local form (https://frictionalcontactlibrary.github.io): group fclib_local with spacedim, W/{m, n, nz, nzmax, p, i, x}
+(nz >= 0: that many triplets, -1: compressed columns, -2: compressed rows) and vectors/{q, mu}.
+"""
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import scipy.sparse as sp
+
+from voile.errors import InputError
+
+
+class FrictionProblem(NamedTuple):
+    """u = W r + q in frames (normal, tangent 1, tangent 2): W (3c, 3c), q (3c,), mu (c,)."""
+
+    W: sp.csr_matrix
+    q: np.ndarray
+    mu: np.ndarray
+
+
+def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
+    """Reads either layout; InputError names the file and what is missing, malformed or beyond this program."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if not h5py.is_hdf5(path):
+        raise InputError(f"{path}: not an HDF5 file")
+    with h5py.File(path, "r", locking=False) as file:
+        try:
+            if "fclib_local" in file:
+                return _read_fclib(file["fclib_local"])
+            if "fclib_global" in file:
+                raise InputError("fclib_global (bodies and contacts) is not read; only the local form is")
+            return _read_rows(file)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        except (TypeError, ValueError, IndexError, OSError) as error:
+            raise InputError(f"{path}: malformed problem: {error}") from error
+
+
+def _read_rows(file: h5py.File) -> FrictionProblem:
+    rows, columns = (int(size) for size in _values(file, "W/shape", 2))
+    W = _compressed(sp.csr_matrix, file, "W/indptr", "W/indices", "W/data", (rows, columns))
+    return FrictionProblem(W, _values(file, "q", rows), _values(file, "mu"))
+
+
+def _read_fclib(group: h5py.Group) -> FrictionProblem:
+    dimension = int(_values(group, "spacedim", 1)[0])
+    if dimension != 3:
+        raise InputError(f"fclib_local/spacedim is {dimension}; only 3 is solved")
+    if "V" in group or "R" in group:
+        raise InputError("fclib_local has equality constraints (V, R, s); only problems without are solved")
+    rows, columns, kind = (int(_values(group, f"W/{name}", 1)[0]) for name in ("m", "n", "nz"))
+    if kind >= 0:
+        places, values = (
+            (_values(group, "W/p", kind), _values(group, "W/i", kind)),
+            _values(group, "W/x")[:kind],
+        )
+        W = sp.coo_matrix((values, places), shape=(rows, columns)).tocsr()
+    elif kind in (-1, -2):
+        form = sp.csc_matrix if kind == -1 else sp.csr_matrix
+        W = _compressed(form, group, "W/p", "W/i", "W/x", (rows, columns)).tocsr()
+    else:
+        raise InputError(f"fclib_local/W/nz is {kind}; it must be -2, -1 or a number of triplets")
+    return FrictionProblem(W, _values(group, "vectors/q", rows), _values(group, "vectors/mu"))
+
+
+def _values(group: h5py.Group, name: str, size: int | None = None) -> np.ndarray:
+    """The dataset as a flat array; of that size where given."""
+    if not isinstance(group.get(name), h5py.Dataset):
+        raise InputError(f"{group.name.rstrip('/')}/{name} is missing")
+    values = np.atleast_1d(group[name][()]).ravel()
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"{group.name.rstrip('/')}/{name} must hold numbers")
+    if size is not None and len(values) != size:
+        raise InputError(f"{group.name.rstrip('/')}/{name} has {len(values)} entries; {size} are needed")
+    return values
+
+
+def _compressed(
+    form: type, group: h5py.Group, start: str, index: str, value: str, shape: tuple[int, int]
+) -> Any:
+    """A compressed matrix whose arrays were checked, as scipy itself would read outside of them."""
+    starts = _values(group, start, shape[1 if form is sp.csc_matrix else 0] + 1)
+    entries = int(starts[-1])
+    matrix = form((_values(group, value)[:entries], _values(group, index)[:entries], starts), shape=shape)
+    matrix.check_format(full_check=True)
+    return matrix
+
+
+def prepare_solution(path: Path) -> None:
+    """InputError if no file can be written there."""
+    if (
+        not path.parent.is_dir()
+        or path.is_dir()
+        or not os.access(path if path.exists() else path.parent, os.W_OK)
+    ):
+        raise InputError(f"{path}: cannot be written; the folder must exist and be writable")
+
+
+def write_solution(
+    path: Path,
+    source: Path,
+    problem: FrictionProblem,
+    r: np.ndarray,
+    states: np.ndarray,
+    info: Any,
+    *,
+    converged: bool,
+) -> None:
+    """Group `solution` as FCLIB names it (r, u), with mu, state (0 open, 1 stick, 2 slip) and the error's history; the
+    problem's file, the error and the numbers of `info` as its attributes."""
+    with h5py.File(path, "w") as file:
+        group = file.create_group("solution")
+        group["r"], group["u"] = r, problem.W @ r + problem.q
+        group["mu"], group["state"], group["history"] = problem.mu, states, info.history
+        group.attrs["problem"] = str(source.resolve())
+        group.attrs["converged"] = converged
+        for name in ("error", "iterations", "factorisations", "proximal_steps", "method"):
+            group.attrs[name] = getattr(info, name)
