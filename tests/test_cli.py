@@ -267,7 +267,7 @@ def test_what_did_not_converge_says_so(scene, tmp_path):
 
 def test_the_last_good_state_is_kept(scene, tmp_path):
     text = SCENE.replace("1e5", "1e9") + "[statics]\nload_steps = 4\nmax_steps = 1\n"
-    done = voile("run", scene(text), "-o", tmp_path / "out")
+    done = voile("run", scene(text), "-o", tmp_path / "out", "--set", "output.every=3")
     assert done.returncode == 3 and "max_steps = 1" in done.stderr
     summary = read_summary(tmp_path / "out" / "summary.json")
     assert not summary["converged"] and summary["load_factor"] == 0.25

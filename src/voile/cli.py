@@ -223,11 +223,10 @@ def _collective(comm, action):
 
 
 def _solve(scene, model, folder: Path, comm, progress: "Progress"):
-    from petsc4py import PETSc
 
     from voile.problem.contact import attach, contact_fields
     from voile.problem.discrete import Problem
-    from voile.results import ResultWriter, StaticMesh
+    from voile.results import ResultWriter
     from voile.solver.path import StaticsOptions
     from voile.solver.sewing import sew
     from voile.solver.statics import solve_statics
@@ -240,22 +239,10 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     problem = Problem(shell, comm)
     attach(problem, *comm.bcast((model.obstacles, model.offset) if model else None))
     part = problem.part
-    mesh = None
-    if model is not None and shell is not None:
-        mesh = StaticMesh(
-            shell.points,
-            shell.triangles,
-            rest=shell.rest_points,
-            rest_triangles=None if model.rest.triangles is shell.triangles else shell.rest_triangles,
-            edges=shell.topology.edges if problem.directors else None,
-            group=model.surface.group,
-            group_names=model.surface.group_names,
-            point_data={"input_vertex": model.surface.input_vertex},
-        )
-    versions = {"petsc": ".".join(map(str, PETSc.Sys.getVersion())), "python": platform.python_version()}
+    mesh = _static_mesh(model, shell, problem.directors) if shell is not None else None
     writing, reached = 0.0, 0
     with ResultWriter(
-        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions
+        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=_versions()
     ) as writer:
 
         def write(factor: float, y, scalars: dict[str, float]) -> None:
@@ -275,25 +262,42 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
             )
             writing += time.perf_counter() - start
 
+        def keep(step, y) -> None:
+            write(step.factor, y, {"residual": step.residual, "converged": 1.0})
+
         def on_step(step, y) -> None:
             nonlocal reached
             progress.step(step)
             reached += 1
             if step.factor >= 1.0 or reached % scene.output.every == 0:
-                write(step.factor, y, {"residual": step.residual, "converged": 1.0})
+                keep(step, y)
 
         path = solve_statics(problem, options, on_step=on_step, monitor=progress.iteration)
-        if not path.converged and not writer.steps:
+        if not path.converged and not reached:
             write(0.0, path.state, {"residual": float("inf"), "converged": 0.0})
+        elif not path.converged and reached % scene.output.every:
+            keep(path.steps[-1], path.state)  # the last good one
     seconds = {**problem.seconds, **path.seconds, "input_output": writing}
     return path, problem, seconds
 
 
-def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, float], comm) -> None:
-    import numpy
-    from petsc4py import PETSc
+def _static_mesh(model, shell, directors: bool):
+    """What the result file holds once."""
+    from voile.results import StaticMesh
 
-    import voile
+    return StaticMesh(
+        shell.points,
+        shell.triangles,
+        rest=shell.rest_points,
+        rest_triangles=None if model.rest.triangles is shell.triangles else shell.rest_triangles,
+        edges=shell.topology.edges if directors else None,
+        group=model.surface.group,
+        group_names=model.surface.group_names,
+        point_data={"input_vertex": model.surface.input_vertex},
+    )
+
+
+def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, float], comm) -> None:
     from voile.explain import modelled
     from voile.results import write_summary
 
@@ -320,16 +324,26 @@ def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, flo
             "wall_time_s": seconds,
             "peak_memory_mib": memory,
             "ranks": comm.size,
-            "versions": {
-                "voile": voile.__version__,
-                "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
-                "numpy": numpy.__version__,
-                "python": platform.python_version(),
-            },
+            "versions": _versions(),
             "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
             "notes": model.notes,
         },
     )
+
+
+def _versions() -> dict[str, str]:
+    """What a result is computed with."""
+    import numpy
+    from petsc4py import PETSc
+
+    import voile
+
+    return {
+        "voile": voile.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "numpy": numpy.__version__,
+        "python": platform.python_version(),
+    }
 
 
 class Progress:
