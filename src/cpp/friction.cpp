@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "block_lu.hpp"
@@ -20,7 +21,9 @@ constexpr double REDUCTION = 0.3;  // of |F|: a proximal step is solved no furth
 // second bound, where round-off hides those velocities, end the search. Both in scaled numbers.
 constexpr double COMPATIBLE = 1e-3, UNBOUNDED = 1e10;
 constexpr int NEWTON_STEPS = 20, HALVINGS = 12;
-constexpr double RHO[] = {1.0, 0.1, 10.0};  // tried in turn where Newton fails
+// The natural map's scale, in turn where Newton fails: W's soft modes want far more than its diagonal.
+constexpr double RHO[] = {1.0, 10.0, 100.0, 1000.0};
+constexpr double FASTEST = 0.01;  // largest reduction of eps at once
 
 double norm(const Vector& v) {
   double sum = 0.0;
@@ -208,15 +211,19 @@ bool Solver::line_search(Point& p, const Vector& step, const Vector& centre, dou
   return false;
 }
 
+// By how much of the reduction eps falls after that many Newton steps.
+double ease(int steps) { return steps <= 1 ? 1.0 : steps <= 5 ? 0.5 : steps <= 15 ? 0.25 : 0.0; }
+
 FrictionSolution Solver::run() {
   Point p{Vector(3 * n_), q_, Vector(3 * n_)};
   Vector start(3 * n_), centre(3 * n_), step(3 * n_);
   bool done = test(p);
-  double eps = EPS_MAX;
+  double eps = EPS_MAX, reduction = FASTEST;
   int failures = 0, total_failures = 0;
-  while (!done && best_.iterations < max_iterations_ && norm(centre) < UNBOUNDED * norm(q_)) {
+  auto more = [&] { return !done && best_.factorisations < max_iterations_; };
+  while (more() && best_.proximal_steps < max_iterations_ && norm(centre) < UNBOUNDED * norm(q_)) {
     ++best_.proximal_steps;
-    const double rho = RHO[total_failures % 3];
+    const double rho = RHO[total_failures % std::size(RHO)];
     p.r = start;
     multiply(p.r, p.u);
     for (int k = 0; k < 3 * n_; ++k) p.u[k] += q_[k];
@@ -224,19 +231,21 @@ FrictionSolution Solver::run() {
     const double first = p.size;
     int steps = 0;
     bool solved = first == 0.0;
-    while (!solved && !done && steps < NEWTON_STEPS && best_.iterations < max_iterations_ &&
-           newton_step(p, centre, eps, rho, step) && line_search(p, step, centre, eps, rho)) {
+    while (!solved && more() && steps < NEWTON_STEPS && newton_step(p, centre, eps, rho, step) &&
+           line_search(p, step, centre, eps, rho)) {
       ++steps, ++best_.iterations;
       done = test(p);
       solved = p.size <= REDUCTION * first;
     }
     if (solved) {
       start = centre = p.r;
-      eps = std::max(EPS_MIN, eps * (steps <= 1 ? 0.01 : steps <= 5 ? 0.2 : steps <= 15 ? 0.6 : 1.0));
+      eps = std::max(EPS_MIN, eps * std::pow(reduction, ease(steps)));
+      reduction = std::max(FASTEST, std::pow(reduction, 1.2));
       failures = 0;
     } else {
       start = p.size < 0.9 * first ? p.r : centre;
-      eps = std::min(EPS_MAX, eps * std::pow(2.5, std::min(++failures, 3)));
+      eps = std::min(EPS_MAX, eps * std::pow(2.0, std::min(++failures, 2)));
+      reduction = std::sqrt(reduction);
       ++total_failures;
     }
   }

@@ -26,7 +26,7 @@ struct FrictionSolution {
   std::vector<double> history;  // error after every Newton step
 };
 
-// Stops at error <= tol or after that many Newton steps.
+// Stops at error <= tol, or after max_iterations Newton systems or proximal steps.
 FrictionSolution solve_friction(const FrictionProblem& problem, double tol, int max_iterations);
 
 }  // namespace voile

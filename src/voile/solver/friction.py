@@ -41,7 +41,7 @@ def solve_friction(
 
     W: Delassus operator (3c, 3c), sparse in any format or dense, may be singular (hyperstatic); q (3c,) relative
     velocities without reactions; mu (c,) coefficients of friction; frames (normal, tangent 1, tangent 2).
-    InputError on bad input, FrictionNotConverged, with the best reactions, after max_iterations Newton steps.
+    InputError on bad input, FrictionNotConverged, with the best reactions, after max_iterations Newton systems.
     """
     matrix, q, mu = check_problem(W, q, mu)
     if not tol > 0.0:
