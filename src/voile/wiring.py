@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from voile.contact import obstacles
+from voile.contact.field import MeshBody, mesh_body
 from voile.contact.obstacles import Motion, Obstacle
 from voile.elastic import model_name
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, read_mesh, read_rest, select
+from voile.mesh import Rest, Surface, boundary_loops, read_body, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, triangle_areas
 from voile.problem.supports import check_supports
 from voile.scene import Scene
+from voile.scene.schema import Obstacle as ObstacleSpec
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 
@@ -169,7 +171,7 @@ _SHAPES = {
 
 def build_obstacles(scene: Scene) -> list[Obstacle]:
     """The scene's obstacles in the order of the file."""
-    found = []
+    found: list[Obstacle] = []
     for k, spec in enumerate(scene.obstacle):
         move = spec.move
         motion = Motion()
@@ -179,16 +181,22 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
                 rotation=np.array(move.rotation),
                 center=np.array(move.center),
             )
-        if spec.shape not in _SHAPES:
-            raise InputError(
-                f"{scene.path}: obstacle.{k}: this version cannot run shape = {spec.shape!r} yet"
-            )
+        common = {"name": f"{spec.shape} {k}", "friction": spec.friction, "motion": motion}
+        if spec.shape == "mesh":
+            found.append(_body(spec, common))
+            continue
         shape = _SHAPES[spec.shape]
-        own = {f.name for f in fields(shape)} - {"name", "friction", "motion"}
+        own = {f.name for f in fields(shape)} - set(common)
         values = {name: getattr(spec, name) for name in own}
         geometry = {n: np.array(v, dtype=float) if isinstance(v, tuple) else v for n, v in values.items()}
-        found.append(shape(name=f"{spec.shape} {k}", friction=spec.friction, motion=motion, **geometry))
+        found.append(shape(**common, **geometry))
     return found
+
+
+def _body(spec: ObstacleSpec, common: dict) -> MeshBody:
+    assert spec.file is not None  # the schema demands it
+    points, triangles = read_body(spec.file, spec.scale)
+    return mesh_body(points + spec.translate, triangles, spec.resolution, str(spec.file), **common)
 
 
 def check_depth(bodies: list[Obstacle], shell: Shell, offset: float) -> None:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-TINY = 1e-300
+NOWHERE = 1e-12  # m: from the core of a shape (centre, axis) nearer than this, a definite direction is taken
+TINY = 1e-12  # m: least radius of curvature
 
 
 def _zeros() -> np.ndarray:
@@ -104,7 +105,7 @@ def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def unit(vectors: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lengths (n,) and directions (n, 3) of vectors; `otherwise` (3,) for those without length."""
     length = np.linalg.norm(vectors, axis=1)
-    some = length > 0.0
+    some = length > NOWHERE
     return length, np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
 
 

@@ -22,17 +22,19 @@ FIRM = 1e5  # times rho: stiffness by which `linearise` eliminates the reactions
 
 @dataclass
 class Pairs:
-    """Vertices near one obstacle (p of them): index in `vertex`, gap (m), its gradient and Hessian, and the trial
-    reaction: lam_n (N), lam_t (p, 3) N in the tangent plane; slip (p, 3) m, tangential since the start of the step."""
+    """Vertices near one obstacle (p of them): index in `vertex`, gap (m), its gradient (along the normal, of length 1
+    where distances are exact) and Hessian, unit normal, and the trial reaction: lam_n along the gradient, lam_t (p, 3)
+    N in the tangent plane; slip (p, 3) m, tangential since the start of the step."""
 
     index: int
     vertex: np.ndarray
     gap: np.ndarray
-    normal: np.ndarray
+    gradient: np.ndarray
     curvature: np.ndarray
+    unit: np.ndarray
+    steepness: np.ndarray
     lam_n: np.ndarray
     lam_t: np.ndarray
-    off_plane: np.ndarray  # n . (r - rho d): what turning the plane adds to lam_t
     slip: np.ndarray
 
 
@@ -44,6 +46,16 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(p, 3, 3) products a b^T of rows."""
     return a[:, :, None] * b[:, None, :]
+
+
+def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(p, 3) products of matrices (p, 3, 3) and rows (p, 3)."""
+    return np.einsum("pij,pj->pi", a, b)
+
+
+def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(p, 3) parts of rows in the planes of unit normals."""
+    return v - dot(normal, v)[:, None] * normal
 
 
 @dataclass
@@ -114,28 +126,20 @@ class Contact:
             v = np.flatnonzero(near & self.movable)
             if not len(v):
                 continue
-            g, n, c = obstacle.gap_derivatives(x[v], factor)
+            g, gradient, c = obstacle.gap_derivatives(x[v], factor)
             g = g - self.offset
+            steepness = np.linalg.norm(gradient, axis=1)
+            unit = gradient / steepness[:, None]
             d = x[v] - obstacle.carry(s.reference[v], s.factor, factor)
-            plane = s.plane[k][v] if frozen else n
-            w = s.friction[k][v] - self.rho * d
-            across = dot(plane, w)
-            yield Pairs(
-                k,
-                v,
-                g,
-                n,
-                c,
-                s.normal[k][v] - self.rho * g,
-                w - across[:, None] * plane,
-                across,
-                d - dot(plane, d)[:, None] * plane,
-            )
+            plane = s.plane[k][v] if frozen else unit
+            trial = within(plane, s.friction[k][v] - self.rho * d)
+            lam_n = s.normal[k][v] - self.rho * g
+            yield Pairs(k, v, g, gradient, c, unit, steepness, lam_n, trial, within(plane, d))
 
     def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
         if frozen:
             return self.state.bound[p.index][p.vertex]
-        return self.obstacles[p.index].friction * np.maximum(p.lam_n, 0.0)
+        return self.obstacles[p.index].friction * p.steepness * np.maximum(p.lam_n, 0.0)
 
     def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
@@ -166,14 +170,14 @@ class Contact:
         total = np.zeros_like(x)
         for p in self.pairs(x, factor, frozen=frozen):
             normal, tangential = self.project(p, frozen)
-            total[p.vertex] += normal[:, None] * p.normal + tangential
+            total[p.vertex] += normal[:, None] * p.gradient + tangential
         return total
 
     def blocks(self, x: np.ndarray, factor: float, convex: bool):
         """Hessian of `energy`, per obstacle (vertices, (p, 3, 3) N/m); convex: without its negative part."""
         for p in self.pairs(x, factor, frozen=True):
             active = p.lam_n > 0.0
-            block = self.rho * active[:, None, None] * outer(p.normal, p.normal)
+            block = self.rho * active[:, None, None] * outer(p.gradient, p.gradient)
             pressed = np.maximum(p.lam_n, 0.0)[:, None, None] * p.curvature
             block -= np.zeros_like(pressed) if convex else pressed
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
@@ -208,7 +212,10 @@ class Contact:
             s.bound[k] = obstacle.friction * np.maximum(s.normal[k], 0.0)
             v = np.flatnonzero(s.bound[k] > 0.0)
             if len(v):
-                s.plane[k][v] = obstacle.gap_derivatives(x[v], factor)[1]
+                gradient = obstacle.gap_derivatives(x[v], factor)[1]
+                steepness = np.linalg.norm(gradient, axis=1)
+                s.plane[k][v] = gradient / steepness[:, None]
+                s.bound[k][v] *= steepness
 
     # ---- as equations ----
 
@@ -245,20 +252,17 @@ class _Equations:
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.vertex].copy()
-        self.friction = s.friction[p.index][p.vertex].copy()
-        self.friction -= dot(self.friction, p.normal)[:, None] * p.normal
-        size, bound = np.linalg.norm(p.lam_t, axis=1), self.mu * np.maximum(p.lam_n, 0.0)
+        self.friction = within(p.unit, s.friction[p.index][p.vertex])
+        size = np.maximum(np.linalg.norm(p.lam_t, axis=1), 1e-300)
+        bound = self.mu * p.steepness * np.maximum(p.lam_n, 0.0)
         self.stick = self.active & (fresh | (size <= bound)) & (self.mu > 0.0)
         self.slips = self.active & ~self.stick
-        self.along = (
-            self.mu * p.lam_t / np.maximum(size, 1e-300)[:, None]
-        )  # mu times the unit direction of friction
-        share = np.where(
-            self.slips & (self.mu > 0.0), np.minimum(bound / np.maximum(size, 1e-300), 1.0 - 1e-5), 0.0
-        )
+        along = p.lam_t / size[:, None]
+        self.along = (self.mu * p.steepness)[:, None] * along  # friction per lam_n
+        self.plane = np.eye(3) - outer(p.unit, p.unit)
+        self.sideways = self.plane - outer(along, along)
+        share = np.where(self.slips & (self.mu > 0.0), np.minimum(bound / size, 1.0 - 1e-5), 0.0)
         self.turning = rho * share / (1.0 - share)  # N/m: friction's direction follows the slip's
-        unit = p.lam_t / np.maximum(size, 1e-300)[:, None]
-        self.sideways = np.eye(3) - outer(p.normal, p.normal) - outer(unit, unit)
         self.pressed = np.maximum(p.lam_n, 0.0)
 
     @property
@@ -268,44 +272,42 @@ class _Equations:
     def constant(self) -> np.ndarray:
         """(p, 3) a: the reactions without a step, N."""
         p = self.p
-        normal = self.normal - self.firm * p.gap
-        held = self.normal[:, None] * p.normal + self.friction
-        held -= self.firm * (p.gap[:, None] * p.normal + p.slip)
-        moved = normal[:, None] * (p.normal + self.along)
-        moved -= self.turning[:, None] * np.einsum("pij,pj->pi", self.sideways, p.slip)
-        return np.where(self.stick[:, None], held, np.where(self.slips[:, None], moved, 0.0))
+        stuck = self.normal[:, None] * p.gradient + self.friction
+        stuck -= self.firm * (p.gap[:, None] * p.gradient + p.slip)
+        moved = (self.normal - self.firm * p.gap)[:, None] * (p.gradient + self.along)
+        moved -= self.turning[:, None] * times(self.sideways, p.slip)
+        return np.where(self.stick[:, None], stuck, np.where(self.slips[:, None], moved, 0.0))
 
     def blocks(self) -> np.ndarray:
         """(p, 3, 3) D, N/m."""
         p = self.p
-        held = self.firm * np.eye(3)
-        moved = (
-            self.firm * outer(p.normal + self.along, p.normal) + self.turning[:, None, None] * self.sideways
-        )
-        moved -= self.pressed[:, None, None] * p.curvature
-        bent = np.einsum("pij,pj->pi", p.curvature, self.along)
-        moved += self.pressed[:, None, None] * outer(p.normal, bent)
-        which = np.where(self.stick[:, None, None], held, moved)
-        return np.where(self.active[:, None, None], which, 0.0)
+        moved = self.firm * outer(p.gradient + self.along, p.gradient)
+        moved += self.turning[:, None, None] * self.sideways - self.pressed[:, None, None] * p.curvature
+        turned = times(p.curvature, self.along) / p.steepness[:, None]  # the tangent plane follows the normal
+        moved += self.pressed[:, None, None] * outer(p.unit, turned)
+        return self._chosen(moved)
 
     def held(self) -> np.ndarray:
         """(p, 3, 3) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
         p = self.p
-        moved = self.firm * (outer(p.normal, p.normal) + (self.mu > 0.0) * self.sideways)
-        moved = moved - self.pressed[:, None, None] * p.curvature
-        which = np.where(self.stick[:, None, None], self.firm * np.eye(3), moved)
+        moved = self.firm * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
+        return self._chosen(moved - self.pressed[:, None, None] * p.curvature)
+
+    def _chosen(self, moved: np.ndarray) -> np.ndarray:
+        """Blocks of what sticks, slips (`moved`) or is open."""
+        stuck = self.firm * (outer(self.p.gradient, self.p.gradient) + self.plane)
+        which = np.where(self.stick[:, None, None], stuck, moved)
         return np.where(self.active[:, None, None], which, 0.0)
 
     def advance(self, dx: np.ndarray) -> None:
         """Takes the firm stiffness's share of the reactions after the step dx (p, 3) into the multipliers."""
         p = self.p
-        opened = p.gap + dot(p.normal, dx)
-        slid = p.slip + dx - dot(p.normal, dx)[:, None] * p.normal
+        slid = p.slip + within(p.unit, dx)
+        opened = p.gap + dot(p.gradient, dx)
         self.normal = np.where(self.active, self.normal - self.firm * opened, 0.0)
-        turned = self.normal[:, None] * self.along
-        turned -= self.turning[:, None] * np.einsum("pij,pj->pi", self.sideways, slid)
-        held = self.friction - self.firm * slid
-        self.friction = np.where(self.stick[:, None], held, np.where(self.slips[:, None], turned, 0.0))
+        turned = self.normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, slid)
+        stuck = self.friction - self.firm * slid
+        self.friction = np.where(self.stick[:, None], stuck, np.where(self.slips[:, None], turned, 0.0))
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from voile.mesh.obj import write_obj
 from voile.mesh.select import select
 from voile.mesh.stitches import Stitches, sewing_matrix
-from voile.mesh.surface import Rest, Surface, read_mesh, read_rest
+from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
 from voile.mesh.topology import Topology, boundary_loops, build_topology
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Topology",
     "boundary_loops",
     "build_topology",
+    "read_body",
     "read_mesh",
     "read_rest",
     "select",

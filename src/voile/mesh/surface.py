@@ -174,6 +174,16 @@ def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles), dtype=np.int32)
 
 
+def read_body(path: str | Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) m and triangles (m, 3) of a body, which may have holes, pieces and double edges; triangles
+    without area are dropped. Raises InputError for a file that cannot be read or has no triangles."""
+    raw = _read_raw(Path(path), scale)
+    check_coordinates(raw)
+    if not len(raw.triangles):
+        raise InputError(f"{path}: no triangles")
+    return raw.points, np.delete(raw.triangles, flat_triangles(raw.points, raw.triangles), axis=0)
+
+
 def _read_raw(path: Path, scale: float) -> RawMesh:
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"{path}: scale = {scale}, allowed: a positive number (metres per unit of the file)")

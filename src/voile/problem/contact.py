@@ -54,7 +54,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     for pairs in contact.pairs(x, factor):
         normal, friction = contact.project(pairs)
         own = problem.own[pairs.vertex] & (normal > 0.0)
-        force = (normal[:, None] * pairs.normal + friction)[own]
+        force = (normal[:, None] * pairs.gradient + friction)[own]
         v = pairs.vertex[own]
         totals[pairs.index] = [*force.sum(axis=0), *np.cross(x[v], force).sum(axis=0), area[v].sum(), len(v)]
     totals = comm.allreduce(totals)

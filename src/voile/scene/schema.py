@@ -148,7 +148,7 @@ _SHAPES = {
     "box": ("center", "sizes"),
     "mesh": ("file",),
 }
-_MESH_ONLY = ("scale", "translate")
+_MESH_ONLY = ("scale", "translate", "resolution")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,9 +174,14 @@ class Obstacle:
     tube: float | None = key(Number("m", above=0), "torus: radius of the tube, below radius", default=None)
     radii: Vector3 | None = key(vector("m", above=0), "ellipsoid: half axes along x, y, z", default=None)
     sizes: Vector3 | None = key(vector("m", above=0), "box: half edges along x, y, z", default=None)
-    file: Path | None = key(File(), "mesh: closed triangle mesh", default=None)
+    file: Path | None = key(File(), "mesh: triangle mesh of the body, normals outwards", default=None)
     scale: float = key(Number("m", above=0), "mesh: metres per unit of the file", default=1.0)
     translate: Vector3 = key(vector("m"), "mesh: shift after scaling", default=(0.0, 0.0, 0.0))
+    resolution: float | None = key(
+        Number("m", above=0),
+        "mesh: spacing of the grid of the smooth distance field; default: half the mesh's mean edge",
+        default=None,
+    )
 
     SCHEMA: ClassVar[dict[str, Any]] = {
         "allOf": [

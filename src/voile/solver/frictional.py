@@ -21,7 +21,8 @@ from voile.solver.newton import Newton, negative_pivots
 from voile.solver.semismooth import MOST, Semismooth
 from voile.solver.stability import smallest_eigenpair
 
-UPDATES, ROUGHEST = 15, 1e3  # of the reactions; first tolerance of the descents over the last
+UPDATES, FEW = 15, 4  # of the reactions; in a step of pseudo-time
+ROUGHEST = 1e3  # first tolerance of the descents over the last
 SOFTEST, HARDENING = (
     1e-4,
     30.0,
@@ -108,25 +109,34 @@ class FrictionalSolver:
                 break
         return outcome
 
-    def _by_descent(self, y: PETSc.Vec, wanted: float, softest: float = SOFTEST) -> Outcome:
+    def _by_descent(
+        self, y: PETSc.Vec, wanted: float, softest: float = SOFTEST, updates: int = UPDATES
+    ) -> Outcome:
         """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update."""
         contact, problem = self.contact, self.problem
         contact.freeze(problem.positions(y), problem.load_factor)
         rough, self.newton.descend, contact.softness = ROUGHEST * wanted, True, softest
         try:
-            for _ in range(UPDATES):
+            for _ in range(updates):
                 if not self._run(self.newton, y, max(wanted, rough), 100):
                     return Outcome(False, "descent", self._missed())
                 contact.adopt(problem.positions(y), problem.load_factor)
                 contact.softness = min(HARDENING * contact.softness, 1.0)
                 settled = self.snes.getIterationNumber() <= 2 or contact.softness == 1.0
-                if settled and self._attempt(self._directly, y, wanted).converged:
+                if settled and self._finished(y, wanted):
                     return Outcome(True, "descent")
                 rough *= 0.1
         finally:
             contact.softness = 1.0
         return Outcome(
-            False, "descent", f"{UPDATES} updates of the reactions did not converge; {self._missed()}"
+            False, "descent", f"{updates} updates of the reactions did not converge; {self._missed()}"
+        )
+
+    def _finished(self, y: PETSc.Vec, wanted: float) -> bool:
+        """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""
+        return (
+            float(np.hypot(*self.semismooth.norms(y, y.duplicate()))) <= wanted
+            or self._attempt(self._directly, y, wanted).converged
         )
 
     def _by_pseudo_time(self, y: PETSc.Vec, wanted: float) -> Outcome:
@@ -139,7 +149,7 @@ class FrictionalSolver:
                 home, before = y.copy(), self.iterations
                 problem.anchor = Anchor(home, rate, mass)
                 if not self._pseudo_step(y, max(ROUGH * loads, wanted)):
-                    rate *= 8.0
+                    rate *= 4.0
                     if rate > LAST_RATE * slow:
                         return Outcome(
                             False, "pseudo-time", f"no step of pseudo-time converges; {self._missed()}"
@@ -148,7 +158,7 @@ class FrictionalSolver:
                 pull, spent = problem.anchor.pull(y).norm(), self.iterations - before
                 if problem.largest_motion(y - origin) > GONE:
                     return Outcome(False, "pseudo-time", self._slides(y - home), gone=True)
-                rate *= 0.1 if spent <= 6 else 0.3 if spent <= 15 else 1.0
+                rate *= 0.3 if spent <= 6 else 0.5 if spent <= 12 else 1.0
                 if pull < min(NEAR * loads, 0.3 * tried):
                     tried, problem.anchor = pull, None
                     self._begin(y)
@@ -162,7 +172,7 @@ class FrictionalSolver:
         self._begin(y)
         return (
             self._attempt(self._directly, y, tolerance).converged
-            or self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0), y, tolerance).converged
+            or self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0, FEW), y, tolerance).converged
         )
 
     # ---- stability ----

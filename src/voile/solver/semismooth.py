@@ -52,7 +52,7 @@ class Semismooth:
         kind = "exact"
         first, best, idle = 0.0, np.inf, 0
         for it in range(MOST + 1):
-            residual, mismatch = self._norms(y, f)
+            residual, mismatch = self.norms(y, f)
             norm = float(np.hypot(residual, mismatch))
             first = first or norm
             snes.setIterationNumber(it)
@@ -90,7 +90,8 @@ class Semismooth:
             states, kind = now, "mixed"
         snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
 
-    def _norms(self, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
+    def norms(self, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
+        """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""
         problem = self.problem
         x = problem.positions(y)
         problem.residual(y, f, self.contact.force(x, problem.load_factor, frozen=False))

@@ -1,0 +1,184 @@
+"""Triangle meshes as obstacles: a smooth signed distance field, precomputed on a grid around the surface.
+
+The distance to a mesh has kinks wherever its closest triangle changes, on which Newton's method would stall. The body
+is therefore the zero level of a tricubic spline (twice continuously differentiable) through exact signed distances at
+the nodes of a grid. Bodies need not be watertight and their pieces may overlap: inside is where the generalised winding
+number (Jacobson et al. 2013) exceeds one half, and triangles inside the union carry no surface.
+"""
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from voile.contact.obstacles import Obstacle
+from voile.errors import InputError
+
+BAND = 6  # grid spacings on either side of the surface with exact distances
+COARSE = 4  # grid spacings per spacing of the grid that finds the band
+FINEST, COARSEST = 1 / 400, 1 / 60  # default spacing, of the body's diagonal
+LARGEST = 3e7  # nodes of a grid
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshBody(Obstacle):
+    """A body bounded by triangles. coefficients (nx, ny, nz) of the spline and its nodes' signed distances `samples`
+    (m) on a grid of `spacing` (m) from `origin` (3,); points and triangles as given; measured: largest error (m)."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    origin: np.ndarray
+    spacing: float
+    samples: np.ndarray
+    coefficients: np.ndarray
+    measured: float
+
+    def distance(self, p):
+        place = (p - self.origin) / self.spacing
+        gap = map_coordinates(self.samples, place.T, order=1, mode="nearest")
+        high = np.array(self.samples.shape) - 1.0
+        beyond = np.linalg.norm(place - np.clip(place, 0.0, high), axis=1) * self.spacing
+        near = (np.abs(gap) < (BAND - 2) * self.spacing) & (beyond == 0.0)
+        gap[near] = self._spline(place[near], 0)[0]
+        return gap + beyond
+
+    def derivatives(self, p):
+        return self._spline((p - self.origin) / self.spacing, 2)
+
+    def _spline(self, place: np.ndarray, order: int) -> tuple[np.ndarray, ...]:
+        """Value and, with order 2, gradient and Hessian of the spline at places (n, 3) in spacings."""
+        last = np.array(self.samples.shape) - 3
+        cell = np.clip(np.floor(place).astype(int), 1, last)
+        t = np.clip(place - cell, 0.0, 1.0)
+        nodes = np.arange(-1, 3)
+        index = [cell[:, k, None] + nodes for k in range(3)]
+        c = self.coefficients[
+            index[0][:, :, None, None], index[1][:, None, :, None], index[2][:, None, None, :]
+        ]
+        w, d, dd = _weights(t)
+        planes = np.einsum("nabc,nc->nab", c, w[:, 2])
+        value = np.einsum("nab,na,nb->n", planes, w[:, 0], w[:, 1])
+        if order == 0:
+            return (value,)
+        slopes, bends = np.einsum("nabc,nc->nab", c, d[:, 2]), np.einsum("nabc,nc->nab", c, dd[:, 2])
+
+        def along(grid, first, second):
+            return np.einsum("nab,na,nb->n", grid, first[:, 0], second[:, 1])
+
+        gradient = np.stack([along(planes, d, w), along(planes, w, d), along(slopes, w, w)], axis=1)
+        xx, yy, zz = along(planes, dd, w), along(planes, w, dd), along(bends, w, w)
+        xy, xz, yz = along(planes, d, d), along(slopes, d, w), along(slopes, w, d)
+        hessian = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+        return value, gradient / self.spacing, hessian / self.spacing**2
+
+    def size(self) -> float:
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    def error(self) -> float:
+        return self.measured
+
+
+def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, 3, 4) uniform cubic B-spline weights of four nodes at t in [0, 1], their first and second derivatives."""
+    s = 1.0 - t
+    value = [s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (3 * s**3 - 6 * s**2 + 4) / 6, t**3 / 6]
+    slope = [-(s**2) / 2, (3 * t**2 - 4 * t) / 2, (4 * s - 3 * s**2) / 2, t**2 / 2]
+    return tuple(np.stack(rows, axis=2) for rows in (value, slope, [s, 3 * t - 2, 3 * s - 2, t]))
+
+
+def mesh_body(
+    points: np.ndarray, triangles: np.ndarray, resolution: float | None = None, source: str = "mesh", **keys
+) -> MeshBody:
+    """The body of a triangle mesh: points (n, 3) m, triangles (m, 3); resolution (m): the grid's spacing, by default
+    half the mean edge within bounds of the body's size; keys: name, friction, motion.
+
+    Raises InputError for a mesh without inside, one turned inside out, or a resolution too fine for memory.
+    """
+    triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+    points = np.ascontiguousarray(points, dtype=float)
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    edges = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
+    spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * diagonal, COARSEST * diagonal))
+    _check_orientation(points, triangles, source)
+    skin = _outer(points, triangles, diagonal)
+    margin = (BAND + COARSE) * spacing
+    origin = points.min(axis=0) - margin
+    shape = np.ceil((np.ptp(points, axis=0) + 2 * margin) / spacing / COARSE).astype(int) * COARSE + 1
+    if np.prod(shape.astype(float)) > LARGEST:
+        raise InputError(
+            f"{source}: a resolution of {spacing:.3g} m needs {np.prod(shape.astype(float)):.1e} nodes; "
+            f"allowed: {LARGEST:.0e}, that is a resolution of about {diagonal * FINEST:.2g} m"
+        )
+    samples = _samples(points, triangles, skin, origin, spacing, shape)
+    coefficients = spline_filter(samples, order=3, mode="mirror")
+    body = MeshBody(
+        points=points,
+        triangles=triangles,
+        origin=origin,
+        spacing=spacing,
+        samples=samples,
+        coefficients=coefficients,
+        measured=0.0,
+        **keys,
+    )
+    object.__setattr__(body, "measured", _measure(body, skin))
+    return body
+
+
+def signed_distance(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(k,) exact distance of p (k, 3) to the triangles `skin`, negative inside the whole mesh."""
+    squares = igl.point_mesh_squared_distance(np.ascontiguousarray(p), points, skin)[0]
+    inside = igl.fast_winding_number(points, triangles, np.ascontiguousarray(p)) > 0.5
+    return np.where(inside, -1.0, 1.0) * np.sqrt(squares)
+
+
+def _check_orientation(points: np.ndarray, triangles: np.ndarray, source: str) -> None:
+    corner = points[triangles]
+    volume = float(np.einsum("ti,ti->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))) / 6.0
+    area = (
+        float(
+            np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
+        )
+        / 2
+    )
+    if abs(volume) < 1e-6 * area**1.5:
+        raise InputError(f"{source}: the mesh encloses no volume; an obstacle needs an inside")
+    if volume < 0.0:
+        raise InputError(
+            f"{source}: the mesh is inside out (its normals point inwards); reverse its triangles"
+        )
+
+
+def _outer(points: np.ndarray, triangles: np.ndarray, diagonal: float) -> np.ndarray:
+    """The triangles with outside on their outer side: those of the union's surface."""
+    corner = points[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    outside = corner.mean(axis=1) + 1e-4 * diagonal * normal / np.maximum(length, 1e-300)
+    return triangles[igl.fast_winding_number(points, triangles, outside) <= 0.5]
+
+
+def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
+    """Signed distances at the grid's nodes: exact in the band around the surface, interpolated beyond."""
+    few = [np.arange(0, n, COARSE) for n in shape]
+    coarse = np.stack(np.meshgrid(*few, indexing="ij"), axis=-1).reshape(-1, 3)
+    far = signed_distance(points, triangles, skin, origin + spacing * coarse).reshape([len(n) for n in few])
+    axes = [np.arange(n) / COARSE for n in shape]
+    samples = map_coordinates(far, np.meshgrid(*axes, indexing="ij"), order=1)
+    band = np.abs(samples) < (BAND + np.sqrt(3.0) * COARSE) * spacing
+    nodes = np.argwhere(band)
+    samples[band] = signed_distance(points, triangles, skin, origin + spacing * nodes)
+    return samples
+
+
+def _measure(body: MeshBody, skin: np.ndarray) -> float:
+    """Largest error of the gap at the surface's triangles and vertices, and two spacings outside them (m)."""
+    corner = body.points[skin]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    middle = corner.mean(axis=1)
+    probes = np.concatenate([middle, middle + 2 * body.spacing * normal, body.points[np.unique(skin)]])
+    exact = signed_distance(body.points, body.triangles, skin, probes)
+    outside = exact > -1e-9 * body.size()
+    return float(np.abs(body.distance(probes[outside]) - exact[outside]).max())
