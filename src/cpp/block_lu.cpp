@@ -50,7 +50,7 @@ BlockLU::BlockLU(int n, std::span<const int> start, std::span<const int> column)
 void BlockLU::analyse(std::span<const int> start, std::span<const int> column) {
   const int n = (int)place_.size();
   const std::vector<int> order = minimum_degree(n, start, column);
-  std::vector<int> step(n), front_of(n, -1), mark(n, -1), zeros;
+  std::vector<int> step(n), mark(n, -1);
   for (int k = 0; k < n; ++k) step[order[k]] = k;
   // Entries by the step that eliminates the first of their row and column.
   std::vector<std::vector<Entry>> entries(n);
@@ -59,6 +59,7 @@ void BlockLU::analyse(std::span<const int> start, std::span<const int> column) {
       entries[std::min(step[i], step[column[e]])].push_back({e, i, column[e]});
   std::vector<std::vector<int>> waiting(n);  // per step: fronts whose parent is that step's
   std::vector<Front> all;
+  std::vector<int> zeros;  // per front: block entries stored for the sake of its size only
   for (int k = 0; k < n; ++k) {
     const int own = order[k];
     Front front{.pivot = {own}, .entries = std::move(entries[k])};
@@ -71,6 +72,7 @@ void BlockLU::analyse(std::span<const int> start, std::span<const int> column) {
     for (const Entry& e : front.entries) couple(e.row), couple(e.column);
     for (int c : waiting[k]) std::ranges::for_each(all[c].rest, couple);
     int empty = 0;
+    // Rows of a child that joins are stored as long as the front's.
     for (int c : waiting[k]) {
       Front& child = all[c];
       const int total = (int)(front.pivot.size() + front.rest.size() + child.pivot.size());
@@ -92,7 +94,7 @@ void BlockLU::analyse(std::span<const int> start, std::span<const int> column) {
     zeros.push_back(empty);
     all.push_back(std::move(front));
   }
-  std::vector<int> number(all.size(), -1);
+  std::vector<int> number(all.size(), -1);  // without those that joined others
   for (size_t s = 0; s < all.size(); ++s) {
     if (all[s].pivot.empty()) continue;
     number[s] = (int)fronts_.size();

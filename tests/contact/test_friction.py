@@ -14,7 +14,6 @@ from voile.results.friction import read_problem
 from voile.solver import solve_friction
 from voile.solver.friction import FrictionNotConverged
 
-SLOW = ("RockPile_tob1",)
 PROBLEMS = [
     "BoxesStack1-i100000-32",
     "Capsules-i100-1090",
@@ -82,9 +81,7 @@ def test_redundant_contacts_share_the_weight():
 # ---- real problems ----
 
 
-@pytest.mark.parametrize(
-    "name", [p if p not in SLOW else pytest.param(p, marks=pytest.mark.slow) for p in PROBLEMS]
-)
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_real_problems(name, shared):
     W, q, mu = load(shared, name)
     r, info = solve_friction(W, q, mu)
