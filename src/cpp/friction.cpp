@@ -14,7 +14,7 @@ namespace {
 
 using Vector = std::vector<double>;
 
-constexpr double EPS_MIN = 1e-12, EPS_MAX = 1.0;
+constexpr double EPS_MIN = 1e-12, EPS_START = 1.0, EPS_MAX = 1e4;  // W's diagonal is about 1
 constexpr double REDUCTION = 0.3;  // of |F|: a proximal step is solved no further
 // Where no reactions satisfy the laws they grow without bound, and so does what the error is relative to. So
 // the natural map must also be small relative to the velocities without reactions, and reactions beyond the
@@ -218,7 +218,7 @@ FrictionSolution Solver::run() {
   Point p{Vector(3 * n_), q_, Vector(3 * n_)};
   Vector start(3 * n_), centre(3 * n_), step(3 * n_);
   bool done = test(p);
-  double eps = EPS_MAX, reduction = FASTEST;
+  double eps = EPS_START, reduction = FASTEST;
   int failures = 0, total_failures = 0;
   auto more = [&] { return !done && best_.factorisations < max_iterations_; };
   while (more() && best_.proximal_steps < max_iterations_ && norm(centre) < UNBOUNDED * norm(q_)) {
