@@ -61,7 +61,8 @@ class Problem:
 
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
     Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
-    its work is then left out of `energy`. `moves`: some support is displaced along the load path.
+    its work is then left out of `energy`. `moves`: some support is displaced along the load path;
+    `supported`: there is one.
     """
 
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
@@ -98,6 +99,7 @@ class Problem:
         ).ravel()
         self.own = np.zeros(len(part.vertex), dtype=bool)
         self.own[part.owned_vertices] = True
+        self.supported = bool(comm.allreduce(bool(part.fixed[: 3 * len(part.vertex)].any()), op=MPI.LOR))
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._length = self._measure()
         self._make_vectors()

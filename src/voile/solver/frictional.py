@@ -15,8 +15,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.contact.state import State
+from voile.errors import InputError
 from voile.problem.discrete import Anchor, Problem
 from voile.problem.scales import slow_rate
+from voile.solver.complementarity import OPTION, Complementarity
 from voile.solver.newton import Newton, negative_pivots
 from voile.solver.semismooth import MOST, Semismooth
 from voile.solver.stability import smallest_eigenpair
@@ -27,6 +29,7 @@ SOFTEST, HARDENING = (
     1e-4,
     30.0,
 )  # contact's stiffness in the first descent, over the shell's; factor per update
+DESCENT = 300  # iterations of one
 PSEUDO_STEPS = 300
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH = 1e-4  # tolerance of a step of pseudo-time, of the loads
@@ -43,6 +46,9 @@ class Outcome:
     way: str
     reason: str = ""
     gone: bool = False
+
+
+Way = Callable[[PETSc.Vec, float], Outcome]
 
 
 class FrictionalSolver:
@@ -66,7 +72,11 @@ class FrictionalSolver:
         """y and the contact's state end at the equilibrium with a norm under `wanted` (N), or where they were."""
         self.iterations = 0
         outcome = Outcome(False, "")
-        for way in (self._directly, self._by_descent, self._by_pseudo_time)[:ways]:
+        first = self._by_complementarity if PETSc.Options().hasName(OPTION) else self._directly
+        later: list[Way] = [self._by_pseudo_time]
+        if self.problem.supported:  # what nothing holds has no least potential
+            later.insert(0, self._by_descent)
+        for way in [first, *later][:ways]:
             self.saddle = None
             outcome = self._attempt(way, y, wanted)
             if not outcome.converged and self._at_saddle():
@@ -75,7 +85,7 @@ class FrictionalSolver:
                 break
         return outcome
 
-    def _attempt(self, way: Callable[[PETSc.Vec, float], Outcome], y: PETSc.Vec, wanted: float) -> Outcome:
+    def _attempt(self, way: Way, y: PETSc.Vec, wanted: float) -> Outcome:
         """One way; puts y and the reactions back where it fails."""
         start, state = y.copy(), self.contact.state.copy()
         outcome = way(y, wanted)
@@ -92,6 +102,19 @@ class FrictionalSolver:
             self.saddle = y.copy(), self.contact.state.copy()
             return Outcome(False, "semismooth", "the semismooth Newton method ended at a saddle")
         return Outcome(done, "semismooth", "" if done else self._missed())
+
+    def _by_complementarity(self, y: PETSc.Vec, wanted: float) -> Outcome:
+        """SNESVI, then a step of the semismooth method for the inertia."""
+        if any(o.friction > 0.0 for o in self.contact.obstacles):
+            raise InputError(
+                f"-{OPTION}: SNESVI solves frictionless contact; allowed: friction = 0 on all obstacles"
+            )
+        snes = Complementarity(self.problem, self.contact, self.snes.getJacobian()[0], y).solve(wanted)
+        self.iterations += snes.getIterationNumber()
+        if snes.getConvergedReason() <= 0:
+            return Outcome(False, snes.getType(), f"{snes.getType()} did not converge")
+        done = self._directly(y, wanted)
+        return Outcome(done.converged, snes.getType(), done.reason)
 
     def _off_saddle(self, y: PETSc.Vec, wanted: float) -> Outcome:
         """Leaves the last saddle found along its softest mode, further and further."""
@@ -118,7 +141,7 @@ class FrictionalSolver:
         rough, self.newton.descend, contact.softness = ROUGHEST * wanted, True, softest
         try:
             for _ in range(updates):
-                if not self._run(self.newton, y, max(wanted, rough), 100):
+                if not self._run(self.newton, y, max(wanted, rough), DESCENT):
                     return Outcome(False, "descent", self._missed())
                 contact.adopt(problem.positions(y), problem.load_factor)
                 contact.softness = min(HARDENING * contact.softness, 1.0)

@@ -28,13 +28,20 @@ def gap(shell: Shell) -> float:
     )
 
 
+def _edge(shell: Shell) -> float:
+    """Mean length of the start shape's edges (m)."""
+    ends = shell.points[shell.topology.edges]
+    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+
+
 def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
-    """The shell of rank 0 with the displacement that sews it as `closing`; unchanged if its seams are closed.
+    """The shell of rank 0 with the displacement that sews it as `closing`; unchanged if its seams gape less than an
+    edge: then it is draped already, and the smallest displacement that closes them will do (see constraints).
 
     The panels are drawn together smoothly and then relaxed, free of supports and loads, until their elastic energy
     settles; supports later hold their vertices where these have come to be. A start for statics, not an equilibrium.
     """
-    open_seams = comm.bcast(gap(shell) > 1e-9 * np.ptp(shell.points, axis=0).max() if shell else None)
+    open_seams = comm.bcast(gap(shell) > _edge(shell) if shell else None)
     if not open_seams:
         return shell
     loose = None
