@@ -24,7 +24,7 @@ from voile.solver.semismooth import MOST, Semismooth
 from voile.solver.stability import smallest_eigenpair
 
 UPDATES, FEW = 15, 4  # of the reactions; in a step of pseudo-time
-ROUGHEST = 1e3  # first tolerance of the descents over the last
+ROUGHEST = 30.0  # first tolerance of the descents over the last
 SOFTEST, HARDENING = (
     1e-4,
     30.0,
@@ -32,7 +32,7 @@ SOFTEST, HARDENING = (
 DESCENT = 300  # iterations of one
 PSEUDO_STEPS = 300
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
-ROUGH = 1e-4  # tolerance of a step of pseudo-time, of the loads
+ROUGH = 2e-3  # tolerance of a step of pseudo-time, of the loads
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 KICKS = 5  # attempts to leave a saddle
 GONE = 1.0  # sizes of the shell after which it has slid away
@@ -79,7 +79,7 @@ class FrictionalSolver:
         for way in [first, *later][:ways]:
             self.saddle = None
             outcome = self._attempt(way, y, wanted)
-            if not outcome.converged and self._at_saddle():
+            if not outcome.converged and way is first and self._at_saddle():
                 outcome = self._attempt(self._off_saddle, y, wanted)
             if outcome.converged or outcome.gone:
                 break
