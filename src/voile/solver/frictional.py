@@ -32,7 +32,7 @@ SOFTEST, HARDENING = (
 DESCENT = 300  # iterations of one
 PSEUDO_STEPS = 300
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
-ROUGH = 2e-3  # tolerance of a step of pseudo-time, of the loads
+ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 KICKS = 5  # attempts to leave a saddle
 GONE = 1.0  # sizes of the shell after which it has slid away
@@ -157,10 +157,7 @@ class FrictionalSolver:
 
     def _finished(self, y: PETSc.Vec, wanted: float) -> bool:
         """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""
-        return (
-            float(np.hypot(*self.semismooth.norms(y, y.duplicate()))) <= wanted
-            or self._attempt(self._directly, y, wanted).converged
-        )
+        return self._norm(y) <= wanted or self._attempt(self._directly, y, wanted).converged
 
     def _by_pseudo_time(self, y: PETSc.Vec, wanted: float) -> Outcome:
         problem = self.problem
@@ -171,7 +168,7 @@ class FrictionalSolver:
             for _ in range(PSEUDO_STEPS):
                 home, before = y.copy(), self.iterations
                 problem.anchor = Anchor(home, rate, mass)
-                if not self._pseudo_step(y, max(ROUGH * loads, wanted)):
+                if not self._pseudo_step(y, max(wanted, min(ROUGH * loads, REDUCED * self._norm(y)))):
                     rate *= 4.0
                     if rate > LAST_RATE * slow:
                         return Outcome(
@@ -220,6 +217,10 @@ class FrictionalSolver:
         return self._attempt(self._off_saddle, y, wanted).converged
 
     # ---- help ----
+
+    def _norm(self, y: PETSc.Vec) -> float:
+        """Norm of residual and mismatch (N)."""
+        return float(np.hypot(*self.semismooth.norms(y, y.duplicate())))
 
     def _at_saddle(self) -> bool:
         return self.saddle is not None
