@@ -285,7 +285,7 @@ class Box(Obstacle):
         beyond = np.abs(d) - self.sizes
         far, out = unit(side * np.maximum(beyond, 0.0), np.array([0.0, 0.0, 1.0]))
         nearest = np.argmax(beyond, axis=1)
-        inside = far == 0.0
+        inside = far <= NOWHERE  # on the surface too: there `out` has no direction
         face = np.zeros_like(d)
         face[np.arange(len(d)), nearest] = side[np.arange(len(d)), nearest]
         n = np.where(inside[:, None], face, out)
