@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from voile.errors import InputError
 from voile.results import (
+    Body,
     ResultWriter,
     StaticMesh,
     prepare_output,
@@ -35,6 +36,10 @@ TRIANGLES = np.concatenate(
 )
 EDGES = np.unique(np.sort(TRIANGLES[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
 GROUP = (np.arange(len(TRIANGLES)) % 2).astype(np.int32)
+BODIES = (
+    Body("plane 0", 0.3, 1.0 + START[:3], np.array([[0, 1, 2]])),
+    Body("kühl", 0.0, -START[:4], TRIANGLES[:0]),
+)
 SCENE = '[scene]\nname = "Tüll"\n'
 
 
@@ -48,6 +53,7 @@ def state(step):
         "contact": (np.arange(n) + step) % 3,
         "energy_density": np.arange(m) + 0.5 * step,
         "edge_angles": np.arange(e) - 1e3 * step,
+        "placements": np.arange(32.0).reshape(2, 4, 4) - step,
     }
 
 
@@ -55,7 +61,9 @@ def write(path, comm, steps, pause=0.0, first=0, close=True, **options):
     """Write `steps` steps, the global rows dealt to the ranks at random."""
     deal = np.random.default_rng(1)
     mine = [deal.permutation(len(a))[comm.rank :: comm.size] for a in (START, TRIANGLES, EDGES)]
-    mesh = StaticMesh(START, TRIANGLES, edges=EDGES, group=GROUP, group_names=("front", "back"))
+    mesh = StaticMesh(
+        START, TRIANGLES, edges=EDGES, group=GROUP, group_names=("front", "back"), bodies=BODIES
+    )
     writer = ResultWriter(
         path,
         comm,
@@ -76,6 +84,7 @@ def write(path, comm, steps, pause=0.0, first=0, close=True, **options):
             edge_angles=s["edge_angles"][mine[2]],
             edge_index=mine[2],
             scalars={"newton_iterations": step},
+            placements=s["placements"],
         )
         time.sleep(pause)
     if close:
@@ -89,8 +98,12 @@ def check(result, steps):
     assert np.array_equal(result.triangles, TRIANGLES) and np.array_equal(result.edges, EDGES)
     assert np.array_equal(result.start, START) and np.array_equal(result.rest, START)
     assert np.array_equal(result.field("group"), GROUP) and result.group_names == ("front", "back")
+    for body, read in zip(BODIES, result.bodies, strict=True):
+        assert (read.name, read.friction) == (body.name, body.friction)
+        assert np.array_equal(read.points, body.points) and np.array_equal(read.triangles, body.triangles)
     for step in range(steps):
         s = state(step)
+        assert np.array_equal(result.placements(step), s["placements"])
         assert result.values[step] == s["value"]
         assert np.array_equal(result.points(step), s["points"])
         assert np.array_equal(result.edge_angles(step), s["edge_angles"])

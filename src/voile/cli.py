@@ -223,13 +223,13 @@ def _collective(comm, action):
 
 
 def _solve(scene, model, folder: Path, comm, progress: "Progress"):
-
-    from voile.problem.contact import attach, contact_fields
+    from voile.problem.contact import attach
     from voile.problem.discrete import Problem
     from voile.results import ResultWriter
     from voile.solver.path import StaticsOptions
     from voile.solver.sewing import sew
     from voile.solver.statics import solve_statics
+    from voile.wiring import static_mesh
 
     s = scene.statics
     options = StaticsOptions(
@@ -238,8 +238,7 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
     attach(problem, *comm.bcast((model.obstacles, model.offset) if model else None))
-    part = problem.part
-    mesh = _static_mesh(model, shell, problem.directors) if shell is not None else None
+    mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
     writing, reached = 0.0, 0
     with ResultWriter(
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=_versions()
@@ -248,18 +247,7 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
         def write(factor: float, y, scalars: dict[str, float]) -> None:
             nonlocal writing
             start = time.perf_counter()
-            u, phi = problem.local(y)
-            x = part.points + u.reshape(-1, 3)
-            own = part.owned_vertices
-            directors = {}
-            if problem.directors:
-                directors = {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
-            point_data = {}
-            if problem.contact:
-                point_data = {name: values[own] for name, values in contact_fields(problem, y).items()}
-            writer.write_step(
-                factor, x[own], part.vertex[own], scalars=scalars, point_data=point_data, **directors
-            )
+            writer.write_step(factor, scalars=scalars, **_rows(problem, y))
             writing += time.perf_counter() - start
 
         def keep(step, y) -> None:
@@ -281,20 +269,22 @@ def _solve(scene, model, folder: Path, comm, progress: "Progress"):
     return path, problem, seconds
 
 
-def _static_mesh(model, shell, directors: bool):
-    """What the result file holds once."""
-    from voile.results import StaticMesh
+def _rows(problem, y) -> dict:
+    """What the result file takes of a state: this rank's rows and the obstacles' placements."""
+    import numpy as np
 
-    return StaticMesh(
-        shell.points,
-        shell.triangles,
-        rest=shell.rest_points,
-        rest_triangles=None if model.rest.triangles is shell.triangles else shell.rest_triangles,
-        edges=shell.topology.edges if directors else None,
-        group=model.surface.group,
-        group_names=model.surface.group_names,
-        point_data={"input_vertex": model.surface.input_vertex},
-    )
+    from voile.problem.contact import contact_fields
+
+    part, (u, phi) = problem.part, problem.local(y)
+    own = part.owned_vertices
+    rows = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
+    if problem.directors:
+        rows |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
+    if problem.contact:
+        rows["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
+        bodies = problem.contact.obstacles
+        rows["placements"] = np.array([body.motion.matrix(problem.load_factor) for body in bodies])
+    return rows
 
 
 def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, float], comm) -> None:

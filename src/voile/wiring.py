@@ -8,12 +8,14 @@ import numpy as np
 from voile.contact import obstacles
 from voile.contact.field import MeshBody, mesh_body
 from voile.contact.obstacles import Motion, Obstacle
+from voile.contact.surfaces import surface
 from voile.elastic import model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, read_body, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, triangle_areas
 from voile.problem.supports import check_supports
+from voile.results import Body, StaticMesh
 from voile.scene import Scene
 from voile.scene.schema import Obstacle as ObstacleSpec
 
@@ -213,6 +215,22 @@ def check_depth(bodies: list[Obstacle], shell: Shell, offset: float) -> None:
                 f"({x}), {int((gap < -limit).sum())} vertices deeper than {limit:.4g} m; move the obstacle or the "
                 f"shell apart, or let the obstacle come by obstacle.move"
             )
+
+
+def static_mesh(model: Model, shell: Shell, directors: bool) -> StaticMesh:
+    """What the result file holds once; shell: the model's, sewn."""
+    bounds = np.array([shell.points.min(axis=0), shell.points.max(axis=0)])
+    return StaticMesh(
+        shell.points,
+        shell.triangles,
+        rest=shell.rest_points,
+        rest_triangles=None if model.rest.triangles is shell.triangles else shell.rest_triangles,
+        edges=shell.topology.edges if directors else None,
+        group=model.surface.group,
+        group_names=model.surface.group_names,
+        point_data={"input_vertex": model.surface.input_vertex},
+        bodies=tuple(Body(o.name, o.friction, *surface(o, bounds)) for o in model.obstacles),
+    )
 
 
 def weight(shell: Shell) -> float:

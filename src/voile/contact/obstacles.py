@@ -42,6 +42,13 @@ class Motion:
             + factor * np.asarray(self.displacement)
         )
 
+    def matrix(self, factor: float) -> np.ndarray:
+        """(4, 4) `place` of (x, y, z, 1)."""
+        total = np.eye(4)
+        total[:3, :3] = self.turn(factor)
+        total[:3, 3] = self.place(np.zeros((1, 3)), factor)[0]
+        return total
+
     def unplace(self, points: np.ndarray, factor: float) -> np.ndarray:
         """The inverse of `place`."""
         return (points - self.center - factor * np.asarray(self.displacement)) @ self.turn(

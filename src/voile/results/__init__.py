@@ -2,12 +2,14 @@
 
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
 from voile.results.reader import Restart, Result, read_result
+from voile.results.static import Body, StaticMesh
 from voile.results.summary import read_summary, write_summary
-from voile.results.writer import ResultWriter, StaticMesh, prepare_output
+from voile.results.writer import ResultWriter, prepare_output
 
 __all__ = [
     "CELL_FIELDS",
     "POINT_FIELDS",
+    "Body",
     "Field",
     "Restart",
     "Result",

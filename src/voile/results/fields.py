@@ -43,3 +43,6 @@ CELL_FIELDS = {
 }
 
 EDGE_ANGLES = Field("rad", "director angle of the edge")
+PLACEMENT = Field(
+    "m", "rigid placement of an obstacle, 4 x 4 by rows: x = matrix (x at load factor 0, 1)", 16
+)

@@ -13,6 +13,7 @@ import numpy as np
 
 from voile.errors import InputError
 from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS
+from voile.results.static import OBSTACLES, Body
 from voile.results.writer import EDGES, OWN_VALUES, POINTS
 
 
@@ -113,6 +114,23 @@ class Result:
     def edges(self) -> np.ndarray | None:
         """(e, 2) vertex pairs of the director angles, None where the run has none."""
         return self._read("voile/edges") if "voile/edges" in self._file else None
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The obstacles where they are at load factor 0, in the scene's order."""
+        found = []
+        for k in range(len(self._file.get(OBSTACLES, ()))):
+            name, friction, points, triangles = (
+                self._read(f"{OBSTACLES}/{k}/{part}") for part in ("name", "friction", "points", "triangles")
+            )
+            found.append(Body(name.tobytes().decode("utf-8"), float(friction), points, triangles))
+        return tuple(found)
+
+    def placements(self, step: int = -1) -> np.ndarray:
+        """(bodies, 4, 4) matrices that take the bodies' points at load factor 0, (x, y, z, 1), to a step's."""
+        paths = [f"{OBSTACLES}/{k}/placement" for k in range(len(self.bodies))]
+        rows = [self._rows(path, self._step(step), 1) for path in paths]
+        return np.reshape(rows, (-1, 4, 4))
 
     @property
     def point_fields(self) -> tuple[str, ...]:

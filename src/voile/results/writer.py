@@ -19,22 +19,22 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voile.errors import InputError
-from voile.results.fields import CELL_FIELDS, EDGE_ANGLES, FORMAT_VERSION, POINT_FIELDS, Field
+from voile.results.fields import CELL_FIELDS, EDGE_ANGLES, FORMAT_VERSION, PLACEMENT, POINT_FIELDS, Field
 from voile.results.slabs import Slabs
+from voile.results.static import OBSTACLES, StaticMesh, known, static_datasets
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 CAPACITY = 16  # steps, at first
 COPY_BYTES = 1 << 26  # per piece when a file is rebuilt
-VTK_TRIANGLE = 5
 POINTS, EDGES = "VTKHDF/Points", "voile/edge_angles"
 STEPS, VALUES, OWN_VALUES = "VTKHDF/Steps", "VTKHDF/Steps/Values", "voile/values"
 
@@ -61,27 +61,6 @@ def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
 
     _on_root(comm, probe)
     return directory
-
-
-@dataclass(frozen=True)
-class StaticMesh:
-    """What does not change over the steps, in the input's order; needed on rank 0 only.
-
-    start (n, 3) m; triangles (m, 3); rest (nr, 3) m, None = start; rest_triangles (m, 3) where the rest shape
-    has its own vertices (seams of a flat panel), None = triangles; edges (e, 2) of the director angles, None
-    = none; group (m,) with its names; point_data / cell_data: further fields of the table in `fields` that
-    stay as they are.
-    """
-
-    start: np.ndarray
-    triangles: np.ndarray
-    rest: np.ndarray | None = None
-    rest_triangles: np.ndarray | None = None
-    edges: np.ndarray | None = None
-    group: np.ndarray | None = None
-    group_names: tuple[str, ...] = ()
-    point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
-    cell_data: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -122,7 +101,7 @@ class ResultWriter:
         if comm.rank == 0:
             if mesh is None:
                 raise ValueError("rank 0 must pass the mesh")
-            self._static, self._group_names = _static_datasets(mesh), mesh.group_names
+            self._static, self._group_names = static_datasets(mesh), mesh.group_names
             sizes = [len(mesh.start), len(mesh.triangles), 0 if mesh.edges is None else len(mesh.edges)]
         self.n_points, self.n_cells, self.n_edges = comm.bcast(sizes if comm.rank == 0 else None)
         self._stepped: dict[str, _Stepped] = {}
@@ -147,25 +126,31 @@ class ResultWriter:
         edge_angles: np.ndarray | None = None,
         edge_index: np.ndarray | None = None,
         scalars: Mapping[str, float] | None = None,
+        placements: np.ndarray | None = None,
     ) -> None:
         """Append one step at `value` (time in s or load factor); readable when it returns.
 
         points (k, 3) m and point_data {name: (k, ...)} of the vertices this rank owns, point_index (k,) their
         place in the input's order; cell_data and edge_angles likewise with their index. scalars: figures of
-        the step, the same on all ranks. Every step has the same names; names are those of `fields`
-        (ValueError otherwise).
+        the step; placements (k, 4, 4) of the mesh's bodies; both the same on all ranks. Every step has the same
+        names; names are those of `fields` (ValueError otherwise).
         """
         rows: dict[str, tuple[Any, int, Any, Field]] = {
             POINTS: (points, self.n_points, point_index, Field("m", "position", 3))
         }
         for name, data in (point_data or {}).items():
-            rows[f"VTKHDF/PointData/{name}"] = (data, self.n_points, point_index, _known(POINT_FIELDS, name))
+            rows[f"VTKHDF/PointData/{name}"] = (data, self.n_points, point_index, known(POINT_FIELDS, name))
         for name, data in (cell_data or {}).items():
-            rows[f"VTKHDF/CellData/{name}"] = (data, self.n_cells, cell_index, _known(CELL_FIELDS, name))
+            rows[f"VTKHDF/CellData/{name}"] = (data, self.n_cells, cell_index, known(CELL_FIELDS, name))
         if edge_angles is not None:
             rows[EDGES] = (edge_angles, self.n_edges, edge_index, EDGE_ANGLES)
-        single = {f"voile/steps/{name}": float(x) for name, x in (scalars or {}).items()}
-        single[OWN_VALUES] = float(value)
+        figure = Field("", "figure of a step")
+        single: dict[str, tuple[Any, Field]] = {
+            f"voile/steps/{name}": (float(x), figure) for name, x in (scalars or {}).items()
+        }
+        single[OWN_VALUES] = (float(value), figure)
+        for k, matrix in enumerate(() if placements is None else placements):
+            single[f"{OBSTACLES}/{k}/placement"] = (np.ravel(matrix), PLACEMENT)
         self._open({path: _Stepped(n, spec) for path, (_, n, _, spec) in rows.items()}, single)
         slabs: dict[tuple[int, int], Slabs] = {}
         for path, (data, n, index, spec) in rows.items():
@@ -186,10 +171,9 @@ class ResultWriter:
             self._file.close()
         self._file, self._stepped = None, {}
 
-    def _open(self, stepped: dict[str, _Stepped], single: Mapping[str, float]) -> None:
+    def _open(self, stepped: dict[str, _Stepped], single: Mapping[str, tuple[Any, Field]]) -> None:
         """Create the file at the first step, make room at later ones."""
-        one = Field("", "figure of a step")
-        stepped = stepped | {path: _Stepped(1, one) for path in single}
+        stepped = stepped | {path: _Stepped(1, spec) for path, (_, spec) in single.items()}
         if not self._stepped:
             self._stepped = stepped
             _on_root(self.comm, lambda: self._create(self._part, self._capacity, self._static))
@@ -214,11 +198,11 @@ class ResultWriter:
         elif self.comm.rank == 0:  # no lock: ParaView may look on while the run goes
             self._file = self._h5py.File(path, "r+", locking=False)
 
-    def _commit(self, value: float, single: Mapping[str, float]) -> None:
+    def _commit(self, value: float, single: Mapping[str, tuple[Any, Field]]) -> None:
         """Make the step visible: NSteps goes up when all its rows are in the file."""
         if self._file is not None:
             if self.comm.rank == 0:
-                for path, x in single.items():
+                for path, (x, _) in single.items():
                     self._file[path][self.steps] = x
             self._file.flush()
         self.comm.barrier()
@@ -315,49 +299,6 @@ def import_h5py(comm: MPI.Comm) -> Any:
     import h5py
 
     return h5py
-
-
-def _static_datasets(mesh: StaticMesh) -> dict[str, np.ndarray]:
-    start = np.asarray(mesh.start, dtype=np.float64)
-    triangles = np.asarray(mesh.triangles, dtype=np.int64)
-    rest = start if mesh.rest is None else np.asarray(mesh.rest, dtype=np.float64)
-    n, m = len(start), len(triangles)
-    if mesh.rest_triangles is None and len(rest) != n:
-        raise ValueError(
-            f"{len(rest)} rest positions for {n} vertices: rest_triangles must say which belong where"
-        )
-    data = {
-        "VTKHDF/NumberOfPoints": np.array([n]),
-        "VTKHDF/NumberOfCells": np.array([m]),
-        "VTKHDF/NumberOfConnectivityIds": np.array([3 * m]),
-        "VTKHDF/Connectivity": triangles.ravel(),
-        "VTKHDF/Offsets": np.arange(0, 3 * m + 1, 3),
-        "VTKHDF/Types": np.full(m, VTK_TRIANGLE, dtype=np.uint8),
-        "VTKHDF/PointData/start": start,
-        "VTKHDF/PointData/rest": rest,
-    }
-    if mesh.rest_triangles is not None:
-        data["voile/rest_points"] = rest
-        data["voile/rest_triangles"] = np.asarray(mesh.rest_triangles, dtype=np.int64)
-        data["VTKHDF/PointData/rest"] = at_vertices = np.empty((n, 3))
-        at_vertices[triangles] = rest[mesh.rest_triangles]
-    if mesh.edges is not None:
-        data["voile/edges"] = np.asarray(mesh.edges, dtype=np.int64)
-    cells = dict(mesh.cell_data) if mesh.group is None else {**mesh.cell_data, "group": mesh.group}
-    for kind, table, count, extra in (
-        ("Point", POINT_FIELDS, n, mesh.point_data),
-        ("Cell", CELL_FIELDS, m, cells),
-    ):
-        for name, values in extra.items():
-            spec = _known(table, name)
-            data[f"VTKHDF/{kind}Data/{name}"] = np.asarray(values, spec.dtype).reshape(count, *spec.row_shape)
-    return data
-
-
-def _known(table: Mapping[str, Field], name: str) -> Field:
-    if name not in table:
-        raise ValueError(f"no field {name!r} in results; known: {', '.join(table)}")
-    return table[name]
 
 
 def _describe(dataset: Any) -> None:
