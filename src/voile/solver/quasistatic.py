@@ -27,20 +27,21 @@ def follow_contact(
     step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step."""
     solver = FrictionalSolver(problem, snes, newton, options.perturbation)
     factor, nominal, cuts = 0.0, 1.0 / options.load_steps, 0
+    most = CUTS if problem.supported else 0  # a smaller load does not hold what nothing holds
     problem.load_factor = 0.0
     begin(problem, y)
     while factor < 1.0:
         if path.attempts >= options.max_steps:
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
             return
-        step = nominal if cuts >= CUTS else nominal * 0.25**cuts
+        step = nominal if cuts >= most else nominal * 0.25**cuts
         target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
         problem.load_factor = target
-        done, outcome = _solve(solver, y, options, path, ways=3 if cuts >= CUTS else 1)
+        done, outcome = _solve(solver, y, options, path, ways=3 if cuts >= most else 1)
         if done is None:
             problem.load_factor = factor
-            if cuts >= CUTS:
+            if cuts >= most:
                 path.reason = f"{outcome.reason}; at load factor {target:g}"
                 return
             cuts += 1
