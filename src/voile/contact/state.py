@@ -10,6 +10,7 @@ start of the step, from which slip is measured. Everything follows from the tria
 - `linearise`: the semismooth Newton equations of Signorini's and Coulomb's laws for the reactions themselves.
 """
 
+import time
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -92,6 +93,7 @@ class Contact:
     touch: float
     state: State = field(init=False)
     softness: float = 1.0  # factor on rho
+    seconds: float = 0.0  # spent on gaps and candidates
 
     def __post_init__(self) -> None:
         k, n = len(self.obstacles), len(self.movable)
@@ -115,26 +117,31 @@ class Contact:
 
     # ---- the natural map ----
 
-    def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False):
+    def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False) -> list[Pairs]:
         """The pairs of each obstacle that may carry a reaction. frozen: planes of the state instead of x's."""
-        s = self.state
-        for k, obstacle in enumerate(self.obstacles):
-            gap = obstacle.gap(x, factor) - self.offset
-            near = s.normal[k] - self.rho * gap >= -self.rho * self.touch
-            if frozen:
-                near |= s.bound[k] > 0.0
-            v = np.flatnonzero(near & self.movable)
-            if not len(v):
-                continue
-            g, gradient, c = obstacle.gap_derivatives(x[v], factor)
-            g = g - self.offset
-            steepness = np.linalg.norm(gradient, axis=1)
-            unit = gradient / steepness[:, None]
-            d = x[v] - obstacle.carry(s.reference[v], s.factor, factor)
-            plane = s.plane[k][v] if frozen else unit
-            trial = within(plane, s.friction[k][v] - self.rho * d)
-            lam_n = s.normal[k][v] - self.rho * g
-            yield Pairs(k, v, g, gradient, c, unit, steepness, lam_n, trial, within(plane, d))
+        began = time.perf_counter()
+        found = [self._near(k, x, factor, frozen) for k in range(len(self.obstacles))]
+        self.seconds += time.perf_counter() - began
+        return [p for p in found if p is not None]
+
+    def _near(self, k: int, x: np.ndarray, factor: float, frozen: bool) -> Pairs | None:
+        s, obstacle = self.state, self.obstacles[k]
+        gap = obstacle.gap(x, factor) - self.offset
+        near = s.normal[k] - self.rho * gap >= -self.rho * self.touch
+        if frozen:
+            near |= s.bound[k] > 0.0
+        v = np.flatnonzero(near & self.movable)
+        if not len(v):
+            return None
+        g, gradient, c = obstacle.gap_derivatives(x[v], factor)
+        g = g - self.offset
+        steepness = np.linalg.norm(gradient, axis=1)
+        unit = gradient / steepness[:, None]
+        d = x[v] - obstacle.carry(s.reference[v], s.factor, factor)
+        plane = s.plane[k][v] if frozen else unit
+        trial = within(plane, s.friction[k][v] - self.rho * d)
+        lam_n = s.normal[k][v] - self.rho * g
+        return Pairs(k, v, g, gradient, c, unit, steepness, lam_n, trial, within(plane, d))
 
     def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
         if frozen:

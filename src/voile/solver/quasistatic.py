@@ -73,7 +73,7 @@ def _solve(
         outcome = solver.solve(y, tolerance(problem, y, options), ways)
         iterations += solver.iterations
         path.newton_iterations += solver.iterations
-        path.seconds["linear_solve"] = solver.seconds
+        path.seconds |= {"linear_solve": solver.seconds, "contact": solver.contact.seconds}
         if not outcome.converged:
             return None, outcome
         norm, asked = snes.getFunctionNorm(), snes.getTolerances()[1]
