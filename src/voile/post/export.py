@@ -7,11 +7,12 @@ import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voile.errors import InputError
+from voile.post.contact import surfaces
 from voile.post.quantities import quantity
 from voile.results import Result, read_result
 
@@ -26,9 +27,9 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
     """Write a step of the result `path` to `out`, the format by its extension; returns `out`.
 
     obj: the shape with its groups; ply: the shape in double precision; vtu: the shape with every stored field
-    and displacement, strain, curvature; glb: the shape with vertex normals, for viewers and web pages (single
-    precision). Raises InputError for another extension, a step that is not there, or a file that cannot be
-    written.
+    and displacement, strain, curvature; glb: the shape and the obstacles with vertex normals, for viewers and web
+    pages (single precision). Raises InputError for another extension, a step that is not there, or a file that
+    cannot be written.
     """
     out = Path(out)
     kind = out.suffix.lower()
@@ -89,60 +90,73 @@ def grid(result: Result, step: int) -> pyvista.UnstructuredGrid:
 
 
 def write_glb(result: Result, out: Path, step: int) -> None:
-    """Binary glTF 2.0 of a step: one mesh with normals and a two-sided material, no textures.
+    """Binary glTF 2.0 of a step: a mesh for the shape and one for each obstacle, with normals and two-sided materials,
+    no textures.
 
     Written here because VTK writes the JSON form only. Layout: Khronos glTF 2.0 specification, section 4.4.
     """
-    points, triangles = result.points(step), result.triangles
-    parts = [
-        points.astype("<f4").tobytes(),
-        _vertex_normals(points, triangles).astype("<f4").tobytes(),
-        triangles.astype("<u4").tobytes(),
+    shapes = [(result.path.stem, result.points(step), result.triangles)]
+    shapes += [
+        (body.name, points, triangles)
+        for body, (points, triangles) in zip(result.bodies, surfaces(result, step), strict=True)
     ]
+    parts: list[bytes] = []
+    accessors: list[dict[str, Any]] = []
+    for _, points, triangles in shapes:
+        parts += [
+            points.astype("<f4").tobytes(),
+            _vertex_normals(points, triangles).astype("<f4").tobytes(),
+            triangles.astype("<u4").tobytes(),
+        ]
+        low, high = (f(points.astype("<f4"), axis=0).tolist() for f in (np.min, np.max))
+        vertices = {"componentType": 5126, "count": len(points), "type": "VEC3"}
+        corners = {"componentType": 5125, "count": triangles.size, "type": "SCALAR"}
+        accessors += [{"min": low, "max": high, **vertices}, vertices, corners]
     starts = np.concatenate([[0], np.cumsum([len(p) for p in parts])]).tolist()
-    low, high = (f(points.astype("<f4"), axis=0).tolist() for f in (np.min, np.max))
-    vertices = {"componentType": 5126, "count": len(points), "type": "VEC3"}
     document = {
         "asset": {"version": "2.0", "generator": "voile"},
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": result.path.stem}],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2, "material": 0}]}
-        ],
-        "materials": [
-            {
-                "doubleSided": True,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": [0.62, 0.70, 0.82, 1.0],
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": 0.9,
-                },
-            }
-        ],
-        "accessors": [
-            {"bufferView": 0, "min": low, "max": high, **vertices},
-            {"bufferView": 1, **vertices},
-            {"bufferView": 2, "componentType": 5125, "count": 3 * len(triangles), "type": "SCALAR"},
-        ],
+        "scenes": [{"nodes": list(range(len(shapes)))}],
+        "nodes": [{"mesh": k, "name": name} for k, (name, _, _) in enumerate(shapes)],
+        "meshes": [{"primitives": [_primitive(k)]} for k in range(len(shapes))],
+        "materials": [_material([0.62, 0.70, 0.82, 1.0]), _material([0.54, 0.54, 0.51, 1.0])],
+        "accessors": [{"bufferView": k, **accessor} for k, accessor in enumerate(accessors)],
         "bufferViews": [
             {
                 "buffer": 0,
-                "byteOffset": starts[i],
+                "byteOffset": starts[k],
                 "byteLength": len(part),
-                "target": (34962, 34962, 34963)[i],
+                "target": (34962, 34962, 34963)[k % 3],
             }
-            for i, part in enumerate(parts)
+            for k, part in enumerate(parts)
         ],
         "buffers": [{"byteLength": starts[-1]}],
     }
+    out.write_bytes(_glb(document, b"".join(parts)))
+
+
+def _primitive(k: int) -> dict[str, Any]:
+    """The k-th mesh: accessors 3k to 3k + 2, the shape's material or the obstacles'."""
+    return {
+        "attributes": {"POSITION": 3 * k, "NORMAL": 3 * k + 1},
+        "indices": 3 * k + 2,
+        "material": min(k, 1),
+    }
+
+
+def _material(colour: list[float]) -> dict[str, Any]:
+    surface = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.9}
+    return {"doubleSided": True, "pbrMetallicRoughness": surface}
+
+
+def _glb(document: dict[str, Any], body: bytes) -> bytes:
+    """The container: a header, then JSON and binary chunks."""
     text = json.dumps(document, separators=(",", ":")).encode("utf-8")
     text += b" " * (-len(text) % 4)  # every chunk is a multiple of four bytes; the arrays are already
-    body = b"".join(parts)
     chunks = (
         struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
     )
-    out.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
 def _vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

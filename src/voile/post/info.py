@@ -1,6 +1,8 @@
 """`voile info`: the figures of a result as text."""
 
 import os
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ from voile.results import read_result, read_summary
 
 def info(path: str | os.PathLike[str]) -> str:
     """Steps, extents, range of every field at the last step, and the figures of `summary.json` beside it.
-
 
     path: a result file or its directory. Raises InputError for what is not a result.
     """
@@ -47,11 +48,23 @@ def _tree(summary: dict[str, Any], indent: str) -> list[str]:
     for key, value in summary.items():
         if isinstance(value, dict):
             lines += [f"{indent}{key}", *_tree(value, indent + "  ")]
+        elif key == "obstacles":
+            lines += [f"{indent}{o['name']:24s} {_totals(o)}" for o in value]
         else:
+            if key == "ways":
+                value = [f"{way} {count}" for way, count in Counter(value).items()]
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
             lines.append(f"{indent}{key:24s} {shown}")
     return lines
 
 
-def _vector(x: np.ndarray) -> str:
+def _totals(obstacle: dict[str, Any]) -> str:
+    """What the shell gets from an obstacle."""
+    return (
+        f"{obstacle['vertices']} vertices, {obstacle['area']:.4g} m^2, force {_vector(obstacle['force'])} N, "
+        f"moment {_vector(obstacle['moment'])} N m"
+    )
+
+
+def _vector(x: Sequence[float] | np.ndarray) -> str:
     return "(" + ", ".join(f"{v:.4g}" for v in x) + ")"

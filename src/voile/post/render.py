@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voile.errors import InputError
+from voile.post import contact
 from voile.post.camera import look, parse_scene, upright
 from voile.post.quantities import Quantity, available, boundary_edges, hinge_angles, hinges, quantity
 from voile.results import Result, read_result
@@ -35,8 +36,10 @@ def render(
     """Draw a step of the result `path` coloured by `field` into `out_png`, without an X server.
 
     field: displacement, strain, curvature, mean_curvature or any stored point or cell field (vectors by
-    magnitude). view: see `voile.post.camera.look`. size: width, height in pixels. outline: also draw the
-    undeformed shape's boundary, and its surface as a light ghost where it is far from the drawn one.
+    magnitude); contact, gap and reaction come with the reactions as arrows, contact in three colours.
+    view: see `voile.post.camera.look`. size: width, height in pixels. outline: also draw the
+    undeformed shape's boundary, and its surface as a light ghost where it is far from the drawn one
+    and no obstacle is in the picture.
     Returns the picture's path. Raises InputError for a field, view or step that is not there, or a file that
     cannot be written.
     """
@@ -55,12 +58,16 @@ def render(
         scene = parse_scene(result.scene_text)
         points, shown = result.points(step), quantity(result, field, step)
         everything = np.concatenate([points, result.start]) if outline else points
-        camera = look(everything, upright(scene), view, size)
+        bodies = contact.surfaces(result, step)
+        camera = look(contact.framed(everything, bodies), upright(scene), view, size)
         plotter = _plotter(size)
         try:
+            contact.draw_bodies(plotter, bodies)
             _draw_shape(plotter, points, result.triangles, shown, size)
+            if field in contact.ARROWS and "reaction" in result.point_fields:
+                contact.draw_reactions(plotter, points, result.field("reaction", step))
             if outline:
-                _draw_start(plotter, result.start, points, result.triangles)
+                _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
             _write_title(plotter, _title(result, scene, step), size)
             plotter.camera_position = [tuple(camera.position), tuple(camera.focus), tuple(camera.up)]
             plotter.camera.view_angle = camera.angle
@@ -95,33 +102,38 @@ def _draw_shape(
     size: tuple[int, int],
 ) -> None:
     shape = _surface(points, triangles)
+    scale = size[1] / 1200
+    _draw_lines(plotter, points, boundary_edges(triangles), INK, 2.2 * scale, 1.0)
     values = shown.values if shown.values.ndim == 1 else np.linalg.norm(shown.values, axis=1)
     (shape.point_data if shown.location == "point" else shape.cell_data)["shown"] = values
     shape = shape.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
     limits, colours = _colours(values)
     unit = f" [{shown.unit}]" if shown.unit else ""
     name = shown.name.replace("_", " ")
-    scale = size[1] / 1200
     bar: dict[str, Any] = {
         "title": f"{name}{unit}\n", "vertical": True, "position_x": 0.875, "position_y": 0.2, "width": 0.055,
         "height": 0.55, "n_labels": 5, "fmt": "  %.3g", "color": INK, "font_family": "arial",
         "title_font_size": int(30 * scale), "label_font_size": int(26 * scale),
     }  # fmt: skip
+    if shown.name == "contact":
+        contact.draw_states(plotter, points, triangles, shape["Normals"], shown.values, bar)
+        return
     plotter.add_mesh(
         shape, scalars="shown", cmap=colours, clim=limits, scalar_bar_args=bar, smooth_shading=True,
         interpolate_before_map=True, ambient=0.38, diffuse=0.7, specular=0.08, specular_power=12,
         nan_color="lightgrey",
     )  # fmt: skip
-    _draw_lines(plotter, points, boundary_edges(triangles), INK, 2.2 * scale, 1.0)
 
 
-def _draw_start(plotter: Any, start: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> None:
+def _draw_start(
+    plotter: Any, start: np.ndarray, points: np.ndarray, triangles: np.ndarray, ghost: bool
+) -> None:
     lines = boundary_edges(triangles)
     if len(lines) == 0:  # a closed shape shows its sharp edges instead; on an open one they are stray strokes
         hinge = hinges(triangles)
         lines = hinge[np.abs(hinge_angles(start, triangles, hinge)) > FEATURE_ANGLE, :2]
     _draw_lines(plotter, start, lines, LINE, 1.6, 1.0)
-    if np.linalg.norm(points - start, axis=1).max() > GHOST * np.ptp(start, axis=0).max():
+    if ghost and np.linalg.norm(points - start, axis=1).max() > GHOST * np.ptp(start, axis=0).max():
         plotter.add_mesh(_surface(start, triangles), color="#8fa3b8", opacity=0.12, lighting=False)
 
 
@@ -142,6 +154,8 @@ def _colours(values: np.ndarray) -> tuple[tuple[float, float], str]:
     if len(finite) == 0:
         return (0.0, 1.0), SEQUENTIAL
     low, high = (float(x) for x in np.percentile(finite, [1, 99]))
+    if low == high:  # what only a few have is no outlier
+        low, high = float(finite.min()), float(finite.max())
     if low < 0 < high and min(-low, high) > 0.25 * max(-low, high):
         limit = _round_up(max(-low, high))
         return (-limit, limit), DIVERGING
