@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-NOWHERE = 1e-12  # m: from the core of a shape (centre, axis) nearer than this, a definite direction is taken
-TINY = 1e-12  # m: least radius of curvature
+NOWHERE = 1e-12  # of a vector's length: parts of it shorter than this are round-off and have no direction
+TINY = 1e-12  # m: least radius of curvature, keeps Hessians finite at centres and axes
 
 
 def _zeros() -> np.ndarray:
@@ -109,10 +109,12 @@ def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, :, None] * b[:, None, :]
 
 
-def unit(vectors: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (n,) and directions (n, 3) of vectors; `otherwise` (3,) for those without length."""
+def unit(
+    vectors: np.ndarray, otherwise: np.ndarray, least: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths (n,) and directions (n, 3) of vectors; `otherwise` (3,) or (n, 3) for those not longer than `least`."""
     length = np.linalg.norm(vectors, axis=1)
-    some = length > NOWHERE
+    some = length > least
     return length, np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
 
 
@@ -125,6 +127,16 @@ def perpendicular(axis: np.ndarray) -> np.ndarray:
     """A unit vector normal to a unit axis."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
     return normalised(other - (other @ axis) * axis)
+
+
+def radial(d: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height z (n,), radius r (n,) and unit radial direction (n, 3) of d (n, 3) in cylindrical coordinates about a unit
+    axis; on the axis some definite direction, normal to it as all others."""
+    z = d @ axis
+    across = d - z[:, None] * axis
+    across -= (across @ axis)[:, None] * axis  # once more: near the axis the first difference is round-off
+    r, e = unit(across, perpendicular(axis), NOWHERE * np.linalg.norm(d, axis=1))
+    return z, r, e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,8 +174,7 @@ class Cylinder(Obstacle):
 
     def derivatives(self, p):
         a = normalised(self.axis)
-        d = p - self.center
-        r, n = unit(d - (d @ a)[:, None] * a, perpendicular(a))
+        _, r, n = radial(p - self.center, a)
         across = np.eye(3) - np.outer(a, a) - outer(n, n)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
@@ -183,10 +194,10 @@ class Capsule(Obstacle):
         along = np.asarray(self.b, dtype=float) - self.a
         length = float(np.linalg.norm(along))
         axis = along / length
-        t = (p - self.a) @ axis
-        foot = self.a + np.clip(t, 0.0, length)[:, None] * axis
-        r, n = unit(p - foot, perpendicular(axis))
-        inner = ((t > 0.0) & (t < length))[:, None, None]
+        t, away, e = radial(p - self.a, axis)
+        beyond = t - np.clip(t, 0.0, length)
+        r, n = unit(away[:, None] * e + beyond[:, None] * axis, perpendicular(axis))
+        inner = (beyond == 0.0)[:, None, None]
         across = np.eye(3) - outer(n, n) - inner * np.outer(axis, axis)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
@@ -205,8 +216,7 @@ class Cone(Obstacle):
     def derivatives(self, p):
         a, sine, cosine = normalised(self.axis), np.sin(self.half_angle), np.cos(self.half_angle)
         d = p - self.apex
-        z = d @ a
-        r, e = unit(d - z[:, None] * a, perpendicular(a))
+        z, r, e = radial(d, a)
         beyond = r * sine + z * cosine < 0.0  # nearest to the apex
         far, out = unit(d, -a)
         around = np.cross(a, e)
@@ -230,9 +240,8 @@ class Torus(Obstacle):
 
     def derivatives(self, p):
         a = normalised(self.axis)
-        d = p - self.center
-        r, e = unit(d - (d @ a)[:, None] * a, perpendicular(a))
-        far, n = unit(d - self.radius * e, -perpendicular(a))
+        z, r, e = radial(p - self.center, a)
+        far, n = unit((r - self.radius)[:, None] * e + z[:, None] * a, e)
         around = np.cross(a, e)
         across = (np.eye(3) - outer(n, n) - outer(around, around)) / np.maximum(far, TINY)[:, None, None]
         turning = (dot(n, e) / np.maximum(r, TINY))[:, None, None] * outer(around, around)
@@ -265,18 +274,20 @@ class Ellipsoid(Obstacle):
 
 def _ellipsoid_foot(p: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """(n, 3) closest points of an ellipsoid to points of the first octant (Eberly 2013): x_i = r_i^2 p_i / (t + r_i^2)
-    with the largest root t of sum (r_i p_i / (t + r_i^2))^2 = 1, bracketed and bisected."""
+    with the largest root t of sum (r_i p_i / (t + r_i^2))^2 = 1, bracketed and bisected in s = t + min r_i^2, which
+    keeps its digits near the centre."""
     squares, least = radii**2, float(radii.min())
+    beyond = squares - squares.min()
     p = np.maximum(p, 1e-12 * least)  # off the planes of symmetry, where the root may be at the pole
-    low = -(least**2) + np.max(np.where(radii == least, radii * p, 0.0), axis=1)
-    high = -(least**2) + np.linalg.norm(radii * p, axis=1)
+    low = np.max(np.where(radii == least, radii * p, 0.0), axis=1)
+    high = np.linalg.norm(radii * p, axis=1)
     for _ in range(200):
-        t = 0.5 * (low + high)
-        above = ((radii * p / (t[:, None] + squares)) ** 2).sum(axis=1) > 1.0
-        low, high = np.where(above, t, low), np.where(above, high, t)
-        if (high - low <= 4e-16 * (np.abs(high) + least**2)).all():
+        s = 0.5 * (low + high)
+        above = ((radii * p / (s[:, None] + beyond)) ** 2).sum(axis=1) > 1.0
+        low, high = np.where(above, s, low), np.where(above, high, s)
+        if (high - low <= 4e-16 * high).all():
             break
-    return squares * p / (0.5 * (low + high)[:, None] + squares)
+    return squares * p / (0.5 * (low + high)[:, None] + beyond)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,7 +303,9 @@ class Box(Obstacle):
         beyond = np.abs(d) - self.sizes
         far, out = unit(side * np.maximum(beyond, 0.0), np.array([0.0, 0.0, 1.0]))
         nearest = np.argmax(beyond, axis=1)
-        inside = far <= NOWHERE  # on the surface too: there `out` has no direction
+        inside = far <= NOWHERE * np.linalg.norm(
+            d, axis=1
+        )  # on the surface too: there `out` has no direction
         face = np.zeros_like(d)
         face[np.arange(len(d)), nearest] = side[np.arange(len(d)), nearest]
         n = np.where(inside[:, None], face, out)
