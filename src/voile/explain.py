@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.contact.field import MeshBody
 from voile.elastic import model_name
 from voile.problem.shell import Shell
 from voile.scene import Scene
@@ -92,13 +93,27 @@ def _solver(model: Model) -> str:
 
 
 def _contact(model: Model) -> str:
-    """What the obstacles are, and how much of the shell touches them at the start."""
     if not model.obstacles:
         return "no [[obstacle]]"
-    gaps = [obstacle.gap(model.shell.points, 0.0) for obstacle in model.obstacles]
-    touching = int((np.min(gaps, axis=0) <= model.offset).sum())
     names = ", ".join(obstacle.name for obstacle in model.obstacles)
-    return f"{names}; {touching} vertices touch at the start; reactions are multipliers of what touches, no unknowns"
+    return f"{names}, {model.offset:.4g} m from the mid-surface; reactions are multipliers of what touches, no unknowns"
+
+
+def _obstacles(model: Model) -> list[str]:
+    """How exact each obstacle's gap is, and where the shell starts from it."""
+    lines = []
+    for obstacle in model.obstacles:
+        gap = obstacle.gap(model.shell.points, 0.0) - model.offset
+        touching = int((gap <= 0.0).sum())
+        start = f"{touching} vertices touch it at the start" if touching else f"starts {gap.min():.3g} m off"
+        exact = "exact distance"
+        if isinstance(obstacle, MeshBody):
+            exact = (
+                f"{len(obstacle.triangles)} triangles as a smooth distance field: spacing {obstacle.spacing:.3g} m, "
+                f"largest error {obstacle.measured:.2g} m"
+            )
+        lines.append(f"obstacle  {obstacle.name}: {exact}; {start}")
+    return lines
 
 
 def _friction(model: Model) -> str:
@@ -136,6 +151,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"solver    {_solver(model)}; PETSc options after --",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
         f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
+        *_obstacles(model),
         "",
     ]
     width = max(len(name) for name, _, _ in rows)

@@ -71,7 +71,7 @@ def build_model(scene: Scene) -> Model:
     if offset is None:
         offset = 0.5 * float(shell.thickness.max())
     if bodies:
-        check_depth(bodies, shell, offset)
+        check_depth(bodies, shell, offset, f"{scene.path}: obstacle")
     else:
         check_supports(shell)
     return Model(shell, surface, rest, list(surface.notes), bodies, offset)
@@ -201,8 +201,9 @@ def _body(spec: ObstacleSpec, common: dict) -> MeshBody:
     return mesh_body(points + spec.translate, triangles, spec.resolution, str(spec.file), **common)
 
 
-def check_depth(bodies: list[Obstacle], shell: Shell, offset: float) -> None:
-    """Raises InputError where a vertex that can move starts deeper inside an obstacle than a push could mend."""
+def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str) -> None:
+    """Raises InputError, naming the key `where`, if a vertex that can move starts deeper inside an obstacle than a push
+    could mend."""
     limit = DEEPEST * float(np.linalg.norm(np.ptp(shell.points, axis=0)))
     free = ~shell.fixed.all(axis=1)
     for k, obstacle in enumerate(bodies):
@@ -211,7 +212,7 @@ def check_depth(bodies: list[Obstacle], shell: Shell, offset: float) -> None:
         if gap[worst] < -limit:
             x = ", ".join(f"{c:.4g}" for c in shell.points[worst])
             raise InputError(
-                f"obstacle.{k}: the shell starts {-gap[worst]:.4g} m deep inside {obstacle.name} at vertex {worst} "
+                f"{where}.{k}: the shell starts {-gap[worst]:.4g} m deep inside {obstacle.name} at vertex {worst} "
                 f"({x}), {int((gap < -limit).sum())} vertices deeper than {limit:.4g} m; move the obstacle or the "
                 f"shell apart, or let the obstacle come by obstacle.move"
             )
