@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+import pyvista
 from mpi4py import MPI
 from PIL import Image, ImageColor
 
@@ -116,6 +117,13 @@ def test_glb_holds_the_bodies_where_the_step_has_them(result, tmp_path):
     view = document["bufferViews"][document["accessors"][primitive["indices"]]["bufferView"]]
     corners = np.frombuffer(body[view["byteOffset"] :][: view["byteLength"]], "<u4")
     assert corners.tolist() == [0, 1, 2, 0, 2, 3]
+
+
+def test_vtu_has_the_bodies_beside(result, tmp_path):
+    assert export(result, tmp_path / "x.vtu") == tmp_path / "x.vtu"
+    read = pyvista.read(tmp_path / "x-obstacles.vtu")
+    assert np.allclose(read.points[0], [1.5, -1.5, -0.5]) and read.n_cells == 2
+    assert read.cell_data["obstacle"].tolist() == [0, 0]
 
 
 def test_info_counts_ways_and_lists_what_each_obstacle_carries(result):

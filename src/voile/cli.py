@@ -68,7 +68,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("file", type=Path)
     sub.add_argument("-o", "--output", type=Path, help="default: FIELD.png beside the result")
     sub.add_argument(
-        "--field", default="strain", help="colours: displacement, strain, curvature or a stored field"
+        "--field",
+        default="strain",
+        help="colours: displacement, strain, curvature or a stored field (contact, gap, reaction)",
     )
     sub.add_argument("--step", type=int, default=-1)
     sub.add_argument("--view", help="front, back, left, right, top, oblique")

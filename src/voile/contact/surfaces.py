@@ -20,7 +20,7 @@ from voile.contact.obstacles import (
 )
 
 AROUND = 96  # points around an axis; half as many on a meridian of a sphere
-MARGIN = 0.25  # of the bounds' diagonal: how far patches of unbounded shapes reach beyond the bounds
+MARGIN = 0.15  # of the bounds' diagonal: how far patches of unbounded shapes reach beyond the bounds
 
 Triangles = tuple[np.ndarray, np.ndarray]
 
@@ -41,15 +41,13 @@ def _mesh(obstacle: MeshBody, bounds: np.ndarray) -> Triangles:
 
 @surface.register
 def _plane(obstacle: Plane, bounds: np.ndarray) -> Triangles:
-    """A square below the bounds, around the foot of their centre."""
+    """A rectangle below the bounds."""
     n = normalised(obstacle.normal)
     first = perpendicular(n)
     second = np.cross(n, first)
-    centre = np.mean(bounds, axis=0)
-    foot = centre - ((centre - obstacle.point) @ n) * n
-    reach = (0.5 + MARGIN) * np.linalg.norm(np.ptp(bounds, axis=0))
-    ends = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * reach
-    return foot + ends @ np.stack([first, second]), np.array([[0, 1, 2], [0, 2, 3]])
+    (a, b), (c, d) = (_stretch(obstacle.point, along, bounds) for along in (first, second))
+    ends = np.array([[a, c], [b, c], [b, d], [a, d]])
+    return obstacle.point + ends @ np.stack([first, second]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
 @surface.register

@@ -8,7 +8,7 @@ from voile.results import Result
 
 STATES = {"free": "#d3dbe3", "stick": "#2b6ca3", "slip": "#e58a3c"}  # in the order of the field `contact`
 ARROWS = ("contact", "gap", "reaction")  # fields whose pictures show the reactions
-BODY, ARROW = "#c2c2be", "#8c1c2e"
+BODY, ARROW = "#cfcfca", "#8c1c2e"
 LONGEST = 0.12  # of the shape's size: an arrow
 FAINT = 0.02  # of the largest: reactions that show no arrow
 LARGE = 2.0  # sizes of the shape: bodies larger than this run out of the picture
@@ -35,7 +35,7 @@ def draw_bodies(plotter: Any, bodies: list[tuple[np.ndarray, np.ndarray]]) -> No
     for points, triangles in bodies:
         actor = plotter.add_mesh(
             pyvista.PolyData.from_regular_faces(points, triangles), color=BODY, smooth_shading=True,
-            split_sharp_edges=True, feature_angle=40.0, ambient=0.42, diffuse=0.65, specular=0.0,
+            split_sharp_edges=True, feature_angle=40.0, ambient=0.5, diffuse=0.55, specular=0.0,
         )  # fmt: skip
         actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
         actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 400.0)

@@ -27,9 +27,9 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
     """Write a step of the result `path` to `out`, the format by its extension; returns `out`.
 
     obj: the shape with its groups; ply: the shape in double precision; vtu: the shape with every stored field
-    and displacement, strain, curvature; glb: the shape and the obstacles with vertex normals, for viewers and web
-    pages (single precision). Raises InputError for another extension, a step that is not there, or a file that
-    cannot be written.
+    and displacement, strain, curvature, and the obstacles in a file of their own, NAME-obstacles.vtu; glb: the
+    shape and the obstacles with vertex normals, for viewers and web pages (single precision). Raises InputError
+    for another extension, a step that is not there, or a file that cannot be written.
     """
     out = Path(out)
     kind = out.suffix.lower()
@@ -72,10 +72,26 @@ def write_ply(result: Result, out: Path, step: int) -> None:
 
 
 def write_vtu(result: Result, out: Path, step: int) -> None:
-    """VTK XML unstructured grid of a step with all fields."""
-    with open(out, "wb"):
-        pass  # VTK only prints that it cannot write; this raises
-    grid(result, step).save(out, binary=True)
+    """VTK XML unstructured grids: a step with all fields, and its obstacles, numbered, in NAME-obstacles.vtu."""
+    grids = {out: grid(result, step)}
+    if result.bodies:
+        grids[out.with_stem(f"{out.stem}-obstacles")] = _obstacles(result, step)
+    for path, content in grids.items():
+        with open(path, "wb"):
+            pass  # VTK only prints that it cannot write; this raises
+        content.save(path, binary=True)
+
+
+def _obstacles(result: Result, step: int) -> pyvista.UnstructuredGrid:
+    import pyvista
+
+    shapes = surfaces(result, step)
+    first = np.cumsum([0, *(len(points) for points, _ in shapes)])
+    triangles = np.concatenate([t + n for (_, t), n in zip(shapes, first[:-1], strict=True)])
+    points = np.concatenate([points for points, _ in shapes])
+    shape = pyvista.UnstructuredGrid({pyvista.CellType.TRIANGLE: triangles}, points)
+    shape.cell_data["obstacle"] = np.repeat(np.arange(len(shapes)), [len(t) for _, t in shapes])
+    return shape
 
 
 def grid(result: Result, step: int) -> pyvista.UnstructuredGrid:
