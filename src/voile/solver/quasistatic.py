@@ -10,6 +10,7 @@ from voile.solver.newton import Newton
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, tolerance
 from voile.solver.stability import smallest_eigenpair
 
+EASY = 10  # Newton iterations up to which a load step grows
 CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
@@ -26,7 +27,8 @@ def follow_contact(
     """Load steps of 1/load_steps, no longer: friction depends on the path. Where the semismooth method fails, the
     step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step."""
     solver = FrictionalSolver(problem, snes, newton, options.perturbation)
-    factor, nominal, cuts = 0.0, 1.0 / options.load_steps, 0
+    factor, nominal = 0.0, 1.0 / options.load_steps
+    step, cuts = nominal, 0
     most = CUTS if problem.supported else 0  # a smaller load does not hold what nothing holds
     problem.load_factor = 0.0
     begin(problem, y)
@@ -34,7 +36,6 @@ def follow_contact(
         if path.attempts >= options.max_steps:
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
             return
-        step = nominal if cuts >= most else nominal * 0.25**cuts
         target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
         problem.load_factor = target
@@ -45,8 +46,10 @@ def follow_contact(
                 path.reason = f"{outcome.reason}; at load factor {target:g}"
                 return
             cuts += 1
+            step = nominal if cuts >= most else 0.25 * step
             continue
-        factor, cuts = target, max(cuts - 1, 0)
+        factor, cuts = target, 0
+        step = min(2.0 * step, nominal) if done.iterations <= EASY else step
         if factor >= 1.0 and options.stability:
             done = _settle(solver, y, done, options, path)
         y.copy(path.state)
