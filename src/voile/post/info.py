@@ -10,6 +10,8 @@ import numpy as np
 from voile.post.quantities import available, quantity
 from voile.results import read_result, read_summary
 
+ROUND_OFF = 1e-12
+
 
 def info(path: str | os.PathLike[str]) -> str:
     """Steps, extents, range of every field at the last step, and the figures of `summary.json` beside it.
@@ -67,4 +69,7 @@ def _totals(obstacle: dict[str, Any]) -> str:
 
 
 def _vector(x: Sequence[float] | np.ndarray) -> str:
-    return "(" + ", ".join(f"{v:.4g}" for v in x) + ")"
+    """Four digits; components that are round-off of the largest are 0."""
+    x = np.asarray(x, dtype=float)
+    shown = np.where(np.abs(x) > ROUND_OFF * np.abs(x).max(), x, 0.0)
+    return "(" + ", ".join(f"{v:.4g}" for v in shown) + ")"
