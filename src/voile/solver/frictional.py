@@ -249,6 +249,6 @@ class FrictionalSolver:
         way = mean / max(float(np.linalg.norm(mean)), 1e-300)
         bodies = ", ".join(f"{o.name} (friction {o.friction:g})" for o in self.contact.obstacles)
         return (
-            f"the shell slides: no equilibrium within its own size; it moves along "
+            f"the shell slides or falls: no equilibrium within its own size; it moves along "
             f"({way[0]:.3f}, {way[1]:.3f}, {way[2]:.3f}) past {bodies}"
         )
