@@ -12,7 +12,7 @@ import igl
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from voile.contact.obstacles import Obstacle
+from voile.contact.obstacles import TINY, Obstacle, outer, unit
 from voile.errors import InputError
 
 BAND = 6  # grid spacings on either side of the surface with exact distances
@@ -23,34 +23,43 @@ LARGEST = 3e7  # nodes of a grid
 
 @dataclass(frozen=True, kw_only=True)
 class MeshBody(Obstacle):
-    """A body bounded by triangles. coefficients (nx, ny, nz) of the spline and its nodes' signed distances `samples`
-    (m) on a grid of `spacing` (m) from `origin` (3,); points and triangles as given; measured: largest error (m)."""
+    """A body bounded by triangles, points and triangles as given.
+
+    coefficients (nx, ny, nz) of the spline (m) on a grid of `spacing` (m) from `origin` (3,), continued beyond the grid
+    by the distance to it; measured: largest error (m).
+    """
 
     points: np.ndarray
     triangles: np.ndarray
     origin: np.ndarray
     spacing: float
-    samples: np.ndarray
     coefficients: np.ndarray
     measured: float
 
     def distance(self, p):
-        place = (p - self.origin) / self.spacing
-        gap = map_coordinates(self.samples, place.T, order=1, mode="nearest")
-        high = np.array(self.samples.shape) - 1.0
-        beyond = np.linalg.norm(place - np.clip(place, 0.0, high), axis=1) * self.spacing
-        near = (np.abs(gap) < (BAND - 2) * self.spacing) & (beyond == 0.0)
-        gap[near] = self._spline(place[near], 0)[0]
-        return gap + beyond
+        place, beyond = self._clamp(p)
+        return self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
 
     def derivatives(self, p):
-        return self._spline((p - self.origin) / self.spacing, 2)
+        place, beyond = self._clamp(p)
+        gap, gradient, hessian = self._spline(place, 2)
+        far, out = unit(beyond, np.zeros(3))
+        away = np.where(beyond != 0.0, 1.0, 0.0)
+        kept = 1.0 - away  # the spline varies only along the axes on which the place is not clamped
+        across = (away[:, :, None] * np.eye(3) - outer(out, out)) / np.maximum(far, TINY)[:, None, None]
+        return gap + far, kept * gradient + out, outer(kept, kept) * hessian + across
+
+    def _clamp(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest places (n, 3) in spacings at which the spline is defined, and p (n, 3) from there (m)."""
+        place = (p - self.origin) / self.spacing
+        inner = np.clip(place, 1.0, np.array(self.coefficients.shape) - 2.0)
+        return inner, (place - inner) * self.spacing
 
     def _spline(self, place: np.ndarray, order: int) -> tuple[np.ndarray, ...]:
         """Value and, with order 2, gradient and Hessian of the spline at places (n, 3) in spacings."""
-        last = np.array(self.samples.shape) - 3
+        last = np.array(self.coefficients.shape) - 3
         cell = np.clip(np.floor(place).astype(int), 1, last)
-        t = np.clip(place - cell, 0.0, 1.0)
+        t = place - cell
         nodes = np.arange(-1, 3)
         index = [cell[:, k, None] + nodes for k in range(3)]
         c = self.coefficients[
@@ -117,7 +126,6 @@ def mesh_body(
         triangles=triangles,
         origin=origin,
         spacing=spacing,
-        samples=samples,
         coefficients=coefficients,
         measured=0.0,
         **keys,
@@ -134,29 +142,32 @@ def signed_distance(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray,
 
 
 def _check_orientation(points: np.ndarray, triangles: np.ndarray, source: str) -> None:
+    """Refuses meshes without inside, and closed pieces turned inside out even where the whole is not."""
+    pieces, piece = igl.facet_components(triangles)
     corner = points[triangles]
-    volume = float(np.einsum("ti,ti->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))) / 6.0
-    area = (
-        float(
-            np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
-        )
-        / 2
-    )
-    if abs(volume) < 1e-6 * area**1.5:
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    height = corner.mean(axis=1) - corner.mean(axis=(0, 1))
+    volume = np.bincount(piece, np.einsum("ti,ti->t", height, normal) / 6.0)
+    area = np.linalg.norm(normal, axis=1).sum() / 2.0
+    if abs(volume.sum()) < 1e-6 * area**1.5:
         raise InputError(f"{source}: the mesh encloses no volume; an obstacle needs an inside")
-    if volume < 0.0:
-        raise InputError(
-            f"{source}: the mesh is inside out (its normals point inwards); reverse its triangles"
-        )
+    closed = np.bincount(piece[igl.boundary_facets(triangles)[1]], minlength=pieces) == 0
+    inverted = closed & (volume < 0.0)
+    if volume.sum() < 0.0 or inverted.any():
+        which = f"{inverted.sum()} of its {pieces} pieces are" if volume.sum() > 0.0 else "the mesh is"
+        raise InputError(f"{source}: {which} inside out (normals point inwards); reverse the triangles")
 
 
 def _outer(points: np.ndarray, triangles: np.ndarray, diagonal: float) -> np.ndarray:
-    """The triangles with outside on their outer side: those of the union's surface."""
+    """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    outside = corner.mean(axis=1) + 1e-4 * diagonal * normal / np.maximum(length, 1e-300)
-    return triangles[igl.fast_winding_number(points, triangles, outside) <= 0.5]
+    lifted = corner + 1e-4 * diagonal * (normal / np.maximum(length, 1e-300))[:, None]
+    middle = lifted.mean(axis=1, keepdims=True)
+    probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
+    outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5
+    return triangles[outside.reshape(-1, 4).any(axis=1)]
 
 
 def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
@@ -173,12 +184,15 @@ def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
 
 
 def _measure(body: MeshBody, skin: np.ndarray) -> float:
-    """Largest error of the gap at the surface's triangles and vertices, and two spacings outside them (m)."""
+    """Largest error of the gap outside (m): at the middles of the surface's triangles and edges and its vertices, on
+    the surface and one and two spacings off."""
     corner = body.points[skin]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    middle = corner.mean(axis=1)
-    probes = np.concatenate([middle, middle + 2 * body.spacing * normal, body.points[np.unique(skin)]])
+    middle = corner.mean(axis=1, keepdims=True)
+    sites = np.concatenate([middle, 0.5 * (corner + np.roll(corner, 1, axis=1))], axis=1)
+    raised = [sites + k * body.spacing * normal[:, None] for k in range(3)]
+    probes = np.concatenate([np.concatenate(raised).reshape(-1, 3), body.points[np.unique(skin)]])
     exact = signed_distance(body.points, body.triangles, skin, probes)
     outside = exact > -1e-9 * body.size()
     return float(np.abs(body.distance(probes[outside]) - exact[outside]).max())
