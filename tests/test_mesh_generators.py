@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import igl
 import numpy as np
 import pytest
 from mesh_helpers import GENERATORS, areas, generator, loops_of, normals
@@ -154,3 +155,18 @@ def test_generator_command(tmp_path):
     assert len(read_mesh(out).triangles) == 16
     done = subprocess.run([*program, "--size", "0", out], capture_output=True, text=True)
     assert done.returncode == 2 and "size = 0.0, allowed: a positive number" in done.stderr
+
+
+def test_a_fitted_skirt_keeps_its_clearance_from_the_form(tmp_path):
+    points, triangles = generator("fitted_skirt").fitted_skirt(clearance=0.004, size=0.02)
+    write_obj(tmp_path / "out.obj", points, triangles)
+    surface = read_mesh(tmp_path / "out.obj")
+    assert surface.notes == () and len(loops_of(surface)) == 2
+    # girth of the form 0.26 m up; offset curves grow by 2 pi
+    area = 0.40 * (0.8758 + 2 * np.pi * 0.004 + np.pi * 0.25 * 0.40)
+    assert areas(points, triangles).sum() == pytest.approx(area, rel=5e-3)
+    assert ((normals(points, triangles) * points[triangles].mean(axis=1) * [1, 0, 1]).sum(axis=1) > 0).all()
+    form, faces = generator("dress_form").dress_form(size=0.005)
+    gap = np.sqrt(igl.point_mesh_squared_distance(points, form, faces)[0])
+    assert (igl.winding_number(form, faces, points) < 0.5).all()
+    assert 0.86 * 0.004 < gap.min() < 1.02 * 0.004  # the form slopes by up to 30 degrees against its section

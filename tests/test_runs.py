@@ -11,18 +11,26 @@ import pytest
 from voile.results import read_result, read_summary
 
 ROOT = Path(__file__).parents[1]
-RUNS = sorted(path.parent.name for path in (ROOT / "runs").glob("*/expected.toml"))
+RUNS = {path.parent.name: tomllib.loads(path.read_text()) for path in (ROOT / "runs").glob("*/expected.toml")}
 
 
-@pytest.mark.parametrize("name", RUNS)
+def run(name: str, folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Generates the meshes of a run and runs its scene; result in folder/out."""
+    for generator, *arguments, mesh in RUNS[name]["meshes"]:
+        generate = [sys.executable, str(ROOT / "meshes" / generator), *arguments, str(folder / mesh)]
+        subprocess.run(generate, check=True, timeout=60)
+    (folder / "scene.toml").write_text((ROOT / "runs" / name / "scene.toml").read_text())
+    command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out", *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * RUNS[name].get("slow", False)) for name in sorted(RUNS)],
+)
 def test_run_meets_its_expectations(name, tmp_path):
-    expected = tomllib.loads((ROOT / "runs" / name / "expected.toml").read_text())
-    generator, *arguments, mesh = expected["mesh"]
-    generate = [sys.executable, str(ROOT / "meshes" / generator), *arguments, str(tmp_path / mesh)]
-    subprocess.run(generate, check=True, timeout=60)
-    (tmp_path / "scene.toml").write_text((ROOT / "runs" / name / "scene.toml").read_text())
-    run = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out"]
-    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    expected = RUNS[name]
+    done = run(name, tmp_path)
     assert done.returncode == 0, done.stderr
     result, summary = read_result(tmp_path / "out"), read_summary(tmp_path / "out" / "summary.json")
     assert expected["expect"]
@@ -35,3 +43,10 @@ def test_run_meets_its_expectations(name, tmp_path):
         moved = (result.points(-1) - result.start)[chosen, "xyz".index(item["displacement"])]
         assert len(moved)
         assert abs(moved.mean() - item["value"]) <= item["tolerance"], item["source"]
+
+
+@pytest.mark.slow
+def test_a_skirt_with_too_little_friction_slides_off_the_form(tmp_path):
+    done = run("skirt-on-form", tmp_path, "--set", "obstacle.0.friction=0.02")
+    assert done.returncode == 3, done.stderr
+    assert "the shell slides" in done.stderr and "moves along (" in done.stderr
