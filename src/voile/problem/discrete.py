@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
@@ -11,6 +10,7 @@ from petsc4py import PETSc
 
 from voile import _kernels, _petsc
 from voile.contact.state import Contact
+from voile.problem.anchor import Anchor
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
 from voile.problem.follower import pressure_energy, pressure_force
@@ -41,19 +41,6 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     for rank in range(1, comm.size):
         comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
     return cut(shell, constraints, numbering, 0, clamps)
-
-
-@dataclass
-class Anchor:
-    """A pull towards `home` (unknowns), rate (1/s^2) times the diagonal mass: one step of pseudo-time."""
-
-    home: PETSc.Vec
-    rate: float
-    mass: PETSc.Vec
-
-    def pull(self, y: PETSc.Vec) -> PETSc.Vec:
-        """rate * mass * (y - home), N."""
-        return self.rate * (self.mass * (y - self.home))
 
 
 class Problem:
@@ -230,7 +217,7 @@ class Problem:
         if self.contact:
             total += self.comm.allreduce(self.contact.energy(self.positions(y), self.load_factor))
         if self.anchor:
-            total += 0.5 * self.anchor.pull(y).dot(y - self.anchor.home)
+            total += self.comm.allreduce(self.anchor.energy(y))
         return total
 
     def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: np.ndarray | None = None) -> None:
@@ -243,7 +230,7 @@ class Problem:
             forces[: self._size[0]] -= reactions.ravel()
         f.array[:] = self._collect @ forces
         if self.anchor:
-            f.axpy(1.0, self.anchor.pull(y))
+            f.array[:] += self.anchor.pull(y)
 
     def _forces(self, y: PETSc.Vec) -> np.ndarray:
         """Gradient of the potential in all local dofs; complete for those of this rank."""
@@ -266,14 +253,14 @@ class Problem:
         """Norm of the external forces on the unknowns (N)."""
         u, _ = self._shape(y)
         loads = self._collect @ self._loads(u)
-        return float(np.sqrt(self.comm.allreduce(float(loads @ loads))))
+        return self.norm(loads)
 
     def reaction_norm(self, y: PETSc.Vec) -> float:
         """Norm of the supports' reactions (N)."""
         part = self.part
         held = part.fixed[: self._size[0]] & self.own_dofs()
         reaction = self._forces(y)[: self._size[0]][held]
-        return float(np.sqrt(self.comm.allreduce(float(reaction @ reaction))))
+        return self.norm(reaction)
 
     def reactions(self, y: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
@@ -304,7 +291,7 @@ class Problem:
                 self._scatter.add_vertices(vertices.astype(np.int32), np.ascontiguousarray(blocks))
             matrix.assemble()
         if self.anchor:
-            matrix.setDiagonal(self.anchor.rate * self.anchor.mass, addv=PETSc.InsertMode.ADD_VALUES)
+            self.anchor.add_to(matrix)
 
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
         """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is
@@ -336,6 +323,10 @@ class Problem:
         own = self.motion(direction)[self.own]
         total = self.comm.allreduce(np.array([*own.sum(axis=0), len(own)]))
         return total[:3] / total[3]
+
+    def norm(self, own: np.ndarray) -> float:
+        """Norm of a vector of unknowns given by each rank's own."""
+        return float(np.sqrt(self.comm.allreduce(float(own @ own))))
 
     def everywhere(self, here: bool) -> bool:
         """Whether something holds on all ranks."""

@@ -16,7 +16,8 @@ from petsc4py import PETSc
 
 from voile.contact.state import State
 from voile.errors import InputError
-from voile.problem.discrete import Anchor, Problem
+from voile.problem.anchor import Anchor, difference
+from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
 from voile.solver.complementarity import OPTION, Complementarity
 from voile.solver.newton import Newton, negative_pivots
@@ -175,9 +176,9 @@ class FrictionalSolver:
                             False, "pseudo-time", f"no step of pseudo-time converges; {self._missed()}"
                         )
                     continue
-                pull, spent = problem.anchor.pull(y).norm(), self.iterations - before
-                if problem.largest_motion(y - origin) > GONE:
-                    return Outcome(False, "pseudo-time", self._slides(y - home), gone=True)
+                pull, spent = problem.norm(problem.anchor.pull(y)), self.iterations - before
+                if problem.largest_motion(difference(y, origin)) > GONE:
+                    return Outcome(False, "pseudo-time", self._slides(difference(y, home)), gone=True)
                 rate *= 0.3 if spent <= 6 else 0.5 if spent <= 12 else 1.0
                 if pull < min(NEAR * loads, 0.3 * tried):
                     tried, problem.anchor = pull, None
@@ -235,6 +236,7 @@ class FrictionalSolver:
         snes.setFromOptions()
         snes.solve(None, y)
         self.iterations += snes.getIterationNumber()
+        PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         return snes.getConvergedReason() > 0
 
     def _missed(self) -> str:
