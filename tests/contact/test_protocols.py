@@ -214,11 +214,11 @@ def slips() -> list[dict]:
 
 
 @pytest.mark.skipif(not CURVES.exists(), reason=f"{CURVES} is not there")
-@pytest.mark.parametrize(
-    "friction", [0.25, *(pytest.param(f, marks=pytest.mark.slow) for f in (0.15, 0.3, 0.5))]
-)
+@pytest.mark.parametrize("friction", [0.25, *(pytest.param(f, marks=pytest.mark.slow) for f in (0.15, 0.3))])
 def test_stick_slip(friction):
-    """The elastica's onset of slip (../shared/reference), within 1 % and half a load step; the end is stable."""
+    """The elastica's onset of slip (../shared/reference), within 1 % and half a load step; the end is stable.
+
+    Beyond mu = 0.36 that curve dips below the plane, where the strip lies on it instead."""
     expected = next(row["lowering_at_slip"] for row in slips() if row["friction"] == friction)
     onset, stable = slip_onset(friction, expected, 40)
     assert onset == pytest.approx(expected, rel=0.012)
