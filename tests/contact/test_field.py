@@ -153,3 +153,10 @@ def test_the_mannequin_s_trunk_is_smooth_and_exact(shared):
     steepness = np.linalg.norm(gradient, axis=1)
     assert steepness.min() > 0.8  # least in the hollow of the back
     assert (np.abs(np.quantile(steepness, [0.01, 0.99]) - 1.0) < 0.05).all()
+
+
+def test_a_resolution_too_coarse_for_the_body():
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    with pytest.raises(InputError, match="blurs a body of 1.73 m; allowed: at most 0.17 m"):
+        mesh_body(points, triangles, 0.5)

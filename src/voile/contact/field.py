@@ -18,6 +18,7 @@ from voile.errors import InputError
 BAND = 6  # grid spacings on either side of the surface with exact distances
 COARSE = 4  # grid spacings per spacing of the grid that finds the band
 FINEST, COARSEST = 1 / 400, 1 / 60  # default spacing, of the body's diagonal
+BLUNT = 0.1  # coarsest spacing allowed, of the diagonal
 LARGEST = 3e7  # nodes of a grid
 
 
@@ -108,6 +109,11 @@ def mesh_body(
     points = np.ascontiguousarray(points, dtype=float)
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     edges = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
+    if resolution and resolution > BLUNT * diagonal:
+        raise InputError(
+            f"{source}: a resolution of {resolution:.3g} m blurs a body of {diagonal:.3g} m; "
+            f"allowed: at most {BLUNT * diagonal:.2g} m"
+        )
     spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * diagonal, COARSEST * diagonal))
     _check_orientation(points, triangles, source)
     skin = _outer(points, triangles, diagonal)
