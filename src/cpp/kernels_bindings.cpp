@@ -189,6 +189,15 @@ static void bind_scatter(nb::module_& m) {
                s.add_vertex(vertices.data()[k], blocks.data() + 9 * k);
              }
            })
+      .def("assemble",  // (m, 21, 21) blocks, not symmetric, in place of what was there
+           [](Scatter& s, Doubles blocks) {
+             sized(blocks, DOFS * (size_t)DOFS * s.count(), "triangle blocks");
+             s.clear();
+             for (int t = 0; t < s.count(); ++t) {
+               s.open(t);
+               s.add_square(t, blocks.data() + (size_t)DOFS * DOFS * t);
+             }
+           })
       // The arrays are written in place: the caller keeps them alive as long as the scatter.
       .def("bind",
            [](Scatter& s, Ints ai, Ints aj, Output av, Ints bi, Ints bj, Output bv, Ints ghost_columns) {

@@ -189,20 +189,8 @@ void Scatter::add_vertex(int vertex, const double* block) {
     }
 }
 
-double& Scatter::at(int row, int unknown) {
-  int place = find(row, unknown);
-  const Rows& target = place >= 0 ? inside : outside;
-  return target.value[target.start[row] + (place >= 0 ? place : ~place)];
-}
-
-void Scatter::add_expanded(int t, const double* block) {
-  int dofs = nodes == NODES ? DOFS : 18;
-  auto entry = [block](int i, int j) {
-    int a = i < 18 ? i / 3 : i - 12, b = j < 18 ? j / 3 : j - 12;
-    int r = i - node_dof(a), c = j - node_dof(b);
-    return a <= b ? block[BLOCKS.start[a][b] + r * node_size(b) + c]
-                  : block[BLOCKS.start[a][b] + c * node_size(a) + r];
-  };
+template <class Entry>
+void Scatter::expand(int t, int dofs, Entry entry) {
   for (int i = 0; i < dofs; ++i) {
     int row_dof = triangle_dof(t, i);
     if (row_dof < 0) continue;
@@ -217,6 +205,45 @@ void Scatter::add_expanded(int t, const double* block) {
       }
     }
   }
+}
+
+void Scatter::add_square(int t, const double* block) {
+  int dofs = nodes == NODES ? DOFS : 18;
+  if (!plain[t]) {
+    expand(t, dofs, [block](int i, int j) { return block[DOFS * i + j]; });
+    return;
+  }
+  const int* node = &triangle_node[(size_t)NODES * t];
+  const int* place = &position[(size_t)nodes * nodes * t];
+  for (int a = 0; a < nodes; ++a) {
+    int row = node[a] < 0 ? -1 : first[node[a]];
+    if (row < 0 || row >= owned) continue;
+    for (int b = 0; b < nodes; ++b) {
+      int to = place[a * nodes + b];
+      if (to == ABSENT) continue;
+      const Rows& target = to >= 0 ? inside : outside;
+      for (int r = 0; r < node_size(a); ++r) {
+        double* value = target.value + target.start[row + r] + (to >= 0 ? to : ~to);
+        const double* source = block + DOFS * (node_dof(a) + r) + node_dof(b);
+        for (int c = 0; c < node_size(b); ++c) value[c] += source[c];
+      }
+    }
+  }
+}
+
+double& Scatter::at(int row, int unknown) {
+  int place = find(row, unknown);
+  const Rows& target = place >= 0 ? inside : outside;
+  return target.value[target.start[row] + (place >= 0 ? place : ~place)];
+}
+
+void Scatter::add_expanded(int t, const double* block) {
+  expand(t, nodes == NODES ? DOFS : 18, [block](int i, int j) {
+    int a = i < 18 ? i / 3 : i - 12, b = j < 18 ? j / 3 : j - 12;
+    int r = i - node_dof(a), c = j - node_dof(b);
+    return a <= b ? block[BLOCKS.start[a][b] + r * node_size(b) + c]
+                  : block[BLOCKS.start[a][b] + c * node_size(a) + r];
+  });
 }
 
 }  // namespace voile

@@ -76,12 +76,16 @@ struct Scatter {
   // A fresh assembly visits the triangles in order: each zeroes the rows it is the first to touch, which are
   // then in the cache when they are added to; clear() zeroes those that no triangle touches.
   void clear();
+  int count() const { return (int)(triangle_node.size() / NODES); }  // triangles
   void open(int t) {
     for (int k = fresh_start[t]; k < fresh_start[t + 1]; k += 2) zero(fresh[k], fresh[k + 1]);
   }
 
   // Adds a 3x3 block (row-major, any) to the degrees of freedom of one vertex; part of every pattern.
   void add_vertex(int vertex, const double* block);
+
+  // Adds a DOFS x DOFS block (row-major, not symmetric) to triangle t's degrees of freedom.
+  void add_square(int t, const double* block);
 
   // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's
   // Hessian.
@@ -135,10 +139,12 @@ struct Scatter {
   void zero(int begin, int end);
   void order_rows();
   void add_expanded(int t, const double* block);
+  // Adds entry(i, j) of the triangle's degrees of freedom through C.
+  template <class Entry>
+  void expand(int t, int dofs, Entry entry);
   double& at(int row, int unknown);
   int find(int row, int unknown) const;  // place in the row as in position, ABSENT if not there
   int triangle_dof(int t, int k) const;  // global dof of the triangle's k-th, -1 absent
-  int count() const { return (int)(triangle_node.size() / NODES); }
 };
 
 }  // namespace voile

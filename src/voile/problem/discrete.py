@@ -11,36 +11,13 @@ from petsc4py import PETSc
 from voile import _kernels, _petsc
 from voile.contact.state import Contact
 from voile.problem.anchor import Anchor
-from voile.problem.clamps import held_directors
-from voile.problem.constraints import build_constraints
 from voile.problem.follower import pressure_energy, pressure_force
 from voile.problem.moments import EndMoments
-from voile.problem.partition import Part, cut, number_unknowns
+from voile.problem.partition import distribute
 from voile.problem.shell import Shell
 
 Blocks = Iterable[tuple[np.ndarray, np.ndarray]]
 ENERGIES = ("stretching", "bending", "gravity", "pressure", "force")
-
-
-def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
-    """The part of each rank of a shell that rank 0 holds (None elsewhere). An error on rank 0 is raised on all."""
-    if shell is None:
-        failure = comm.bcast(None)
-        if failure is not None:
-            raise failure
-        return comm.recv(source=0)
-    try:
-        constraints = build_constraints(shell, directors)
-        clamps, angles = held_directors(shell, directors)
-        constraints.gap[3 * len(shell.points) :] = angles
-        numbering = number_unknowns(shell, constraints, comm.size)
-    except Exception as failure:
-        comm.bcast(failure)
-        raise
-    comm.bcast(None)
-    for rank in range(1, comm.size):
-        comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
-    return cut(shell, constraints, numbering, 0, clamps)
 
 
 class Problem:
@@ -80,10 +57,7 @@ class Problem:
         self._base = np.zeros(self._size[0])  # displacements at the last `rebase`
         self._gap, self._base_factor = part.gap.copy(), 0.0
         self._collect = part.matrix.T.tocsr()[: part.owned]
-        self._vertex_force = np.zeros(sum(self._size))
-        self._vertex_force[: self._size[0]] = (
-            part.mass[: self._size[0]].reshape(-1, 3) * self.gravity
-        ).ravel()
+        self._vertex_force = self._weights()
         self.own = np.zeros(len(part.vertex), dtype=bool)
         self.own[part.owned_vertices] = True
         self.supported = bool(comm.allreduce(bool(part.fixed[: 3 * len(part.vertex)].any()), op=MPI.LOR))
@@ -113,6 +87,19 @@ class Problem:
                 clamp[:, 0].astype(np.int32), clamp[:, 1].astype(np.int32), np.ascontiguousarray(clamp[:, 2:])
             )
         return kernel
+
+    def set_rest(self, points: np.ndarray) -> None:
+        """Another rest shape (local rest vertices, 3) m, and the masses that it has."""
+        self.part.set_rest(points)
+        self._flat = False
+        self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, False)
+        self._vertex_force = self._weights()
+
+    def _weights(self) -> np.ndarray:
+        """(local dofs,) gravity at load factor 1 (N)."""
+        weight = np.zeros(sum(self._size))
+        weight[: self._size[0]] = (self.part.mass[: self._size[0]].reshape(-1, 3) * self.gravity).ravel()
+        return weight
 
     def rebase(self, y: PETSc.Vec) -> None:
         """Counts displacements from the shape at y on; the unknowns of any state are then less by y, those of y zero.
@@ -292,6 +279,26 @@ class Problem:
             matrix.assemble()
         if self.anchor:
             self.anchor.add_to(matrix)
+
+    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray) -> None:
+        """Writes triangle blocks (m, 21, 21) to a `create_matrix` matrix; they need not be symmetric."""
+        self._bind(matrix)
+        self._scatter.assemble(blocks)
+        matrix.assemble()
+
+    def gather_triangles(self, forces: np.ndarray) -> PETSc.Vec:
+        """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)
+        and directors, on the unknowns."""
+        part = self.part
+        across = part.corners.ravel()[np.maximum(part.across, 0)]
+        nodes = np.concatenate([part.corners, across], axis=1)
+        dofs = np.concatenate(
+            [(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 18), self._size[0] + part.triangle_edges],
+            axis=1,
+        )
+        f = self.create_vector()
+        f.array[:] = self._collect @ np.bincount(dofs.ravel(), forces.ravel(), sum(self._size))
+        return f
 
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
         """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from mpi4py import MPI
 
-from voile.problem.constraints import Constraints
+from voile.problem.clamps import held_directors
+from voile.problem.constraints import Constraints, build_constraints
 from voile.problem.shell import Shell, hilbert_order, triangle_areas
 
 
@@ -38,7 +40,7 @@ class Part:
     lift: np.ndarray  # (dofs,) prescribed displacement at load factor 1, carried along the seams
     fixed: np.ndarray
     force: np.ndarray
-    mass: np.ndarray  # (dofs,) lumped, complete for all local dofs
+    mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
     moment: np.ndarray
     half_edge_clamp: np.ndarray  # (k, 5): local half edge, conormal flag, vector
     owned: int
@@ -47,17 +49,38 @@ class Part:
     owned_vertices: np.ndarray  # local indices of the vertices that this rank writes
     owned_edges: np.ndarray
 
+    def set_rest(self, points: np.ndarray) -> None:
+        """Another rest shape (rest vertices, 3) m; complete masses for what this rank's unknowns move."""
+        self.rest_points = np.ascontiguousarray(points)
+        thickness, _, _, density = self.fabric
+        areas = triangle_areas(self.rest_points, self.rest_corners)
+        counts = len(self.vertex), len(self.edge)
+        self.mass = lumped_mass(density * areas, thickness, self.corners, self.triangle_edges, counts)
 
-def lumped_mass(shell: Shell) -> np.ndarray:
-    """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2)."""
-    n, topology = len(shell.points), shell.topology
-    area = triangle_areas(shell.rest_points, shell.rest_triangles)
-    share = shell.density * shell.thickness * area / 3.0
-    vertex = np.bincount(shell.triangles.ravel(), np.repeat(share, 3), n)
-    edge = np.bincount(
-        topology.triangle_edges.ravel(), np.repeat(share * shell.thickness**2 / 12.0, 3), len(topology.edges)
-    )
+
+def lumped_mass(
+    density_area: np.ndarray,
+    thickness: np.ndarray,
+    corners: np.ndarray,
+    edges: np.ndarray,
+    counts: tuple[int, int],
+) -> np.ndarray:
+    """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2).
+
+    Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3); counts of both.
+    """
+    share = density_area * thickness / 3.0
+    vertex = np.bincount(corners.ravel(), np.repeat(share, 3), counts[0])
+    edge = np.bincount(edges.ravel(), np.repeat(share * thickness**2 / 12.0, 3), counts[1])
     return np.concatenate([np.repeat(vertex, 3), edge])
+
+
+def _mass(shell: Shell) -> np.ndarray:
+    """Lumped mass of a whole shell."""
+    area = triangle_areas(shell.rest_points, shell.rest_triangles)
+    edges = shell.topology.triangle_edges
+    counts = len(shell.points), len(shell.topology.edges)
+    return lumped_mass(shell.density * area, shell.thickness, shell.triangles, edges, counts)
 
 
 @dataclass
@@ -106,6 +129,27 @@ def _ramp(sizes: np.ndarray) -> np.ndarray:
     """0, 1, ..., size-1 for each size in turn."""
     ends = np.cumsum(sizes)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - sizes, sizes)
+
+
+def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
+    """The part of each rank of a shell that rank 0 holds (None elsewhere). An error on rank 0 is raised on all."""
+    if shell is None:
+        failure = comm.bcast(None)
+        if failure is not None:
+            raise failure
+        return comm.recv(source=0)
+    try:
+        constraints = build_constraints(shell, directors)
+        clamps, angles = held_directors(shell, directors)
+        constraints.gap[3 * len(shell.points) :] = angles
+        numbering = number_unknowns(shell, constraints, comm.size)
+    except Exception as failure:
+        comm.bcast(failure)
+        raise
+    comm.bcast(None)
+    for rank in range(1, comm.size):
+        comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
+    return cut(shell, constraints, numbering, 0, clamps)
 
 
 def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: np.ndarray) -> Part:
@@ -162,7 +206,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         lift=constraints.lift[dofs],
         fixed=constraints.fixed[dofs],
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
-        mass=lumped_mass(shell)[dofs],
+        mass=_mass(shell)[dofs],
         moment=moment[triangles].ravel(),
         half_edge_clamp=mine,
         owned=int(end - begin),
