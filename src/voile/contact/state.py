@@ -80,13 +80,13 @@ class State:
 class Contact:
     """Contact of n vertices with obstacles.
 
-    offset (m): from the mid-surface to the surface that touches; stiffness (N/m): about the shell's own at a vertex,
-    the natural map's scale; movable (n,): vertices with unknowns; own (n,): those counted here (each vertex on one
-    rank); touch (m): a gap that is none to round-off.
+    offset (m): from the mid-surface to the surface that touches, one or (k obstacles, n vertices); stiffness (N/m):
+    about the shell's own at a vertex, the natural map's scale; movable (n,): vertices with unknowns; own (n,): those
+    counted here (each vertex on one rank); touch (m): a gap that is none to round-off.
     """
 
     obstacles: list[Obstacle]
-    offset: float
+    offset: float | np.ndarray
     stiffness: float
     movable: np.ndarray
     own: np.ndarray
@@ -97,6 +97,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         k, n = len(self.obstacles), len(self.movable)
+        self.offset = np.broadcast_to(np.asarray(self.offset, dtype=float), (k, n))
         self.state = State(
             np.zeros((k, n)),
             np.zeros((k, n, 3)),
@@ -115,6 +116,10 @@ class Contact:
         """Measures slip from positions x (n, 3) at this load factor on."""
         self.state.reference, self.state.factor = x.copy(), factor
 
+    def gap(self, k: int, x: np.ndarray, factor: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
+        return self.obstacles[k].gap(x[rows], factor) - np.asarray(self.offset)[k][rows]
+
     # ---- the natural map ----
 
     def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False) -> list[Pairs]:
@@ -126,7 +131,7 @@ class Contact:
 
     def _near(self, k: int, x: np.ndarray, factor: float, frozen: bool) -> Pairs | None:
         s, obstacle = self.state, self.obstacles[k]
-        gap = obstacle.gap(x, factor) - self.offset
+        gap = self.gap(k, x, factor)
         near = s.normal[k] - self.rho * gap >= -self.rho * self.touch
         if frozen:
             near |= s.bound[k] > 0.0
@@ -134,7 +139,7 @@ class Contact:
         if not len(v):
             return None
         g, gradient, c = obstacle.gap_derivatives(x[v], factor)
-        g = g - self.offset
+        g = g - np.asarray(self.offset)[k][v]
         steepness = np.linalg.norm(gradient, axis=1)
         unit = gradient / steepness[:, None]
         d = x[v] - obstacle.carry(s.reference[v], s.factor, factor)

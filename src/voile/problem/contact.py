@@ -11,8 +11,9 @@ from voile.problem.discrete import Problem
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
-def attach(problem: Problem, obstacles: list[Obstacle], offset: float) -> None:
-    """Puts obstacles in the way, at a distance of `offset` (m) from the mid-surface. Nothing if there are none."""
+def attach(problem: Problem, obstacles: list[Obstacle], offset: float | np.ndarray) -> None:
+    """Puts obstacles in the way, at a distance of `offset` (m) from the mid-surface, one or (obstacles, local
+    vertices). Nothing if there are none."""
     if not obstacles:
         return
     part = problem.part
@@ -29,7 +30,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     """reaction (local vertices, 3) N on the shell, gap (local vertices,) m to the nearest obstacle, contact
     (local vertices,): 0 free, 1 stick, 2 slip."""
     contact, x, factor = _contact(problem), problem.positions(y), problem.load_factor
-    gaps = [obstacle.gap(x, factor) - contact.offset for obstacle in contact.obstacles]
+    gaps = [contact.gap(k, x, factor) for k in range(len(contact.obstacles))]
     state = np.full(len(x), FREE, dtype=np.uint8)
     for pairs in contact.pairs(x, factor):
         active = pairs.lam_n > 0.0

@@ -25,7 +25,7 @@ class Complementarity:
         self.problem, self.contact, self.tangent, self.home = problem, contact, tangent, y
         x = problem.positions(y)
         own = problem.own & contact.movable
-        gaps = [o.gap(x, problem.load_factor) - contact.offset for o in contact.obstacles]
+        gaps = [contact.gap(k, x, problem.load_factor) for k in range(len(contact.obstacles))]
         self.pairs = [np.flatnonzero(own & (gap < REACH * problem.size())) for gap in gaps]
         count = sum(len(v) for v in self.pairs)
         self.count, self.split = count, y.getLocalSize()
@@ -88,7 +88,7 @@ class Complementarity:
             pressed = np.flatnonzero(contact.state.normal[k])
             _, gradient, _ = obstacle.gap_derivatives(x[pressed], problem.load_factor)
             forces[pressed] += contact.state.normal[k][pressed, None] * gradient
-            gaps.append(obstacle.gap(x[self.pairs[k]], problem.load_factor) - contact.offset)
+            gaps.append(contact.gap(k, x, problem.load_factor, self.pairs[k]))
         problem.residual(self.home, part, forces)
         f.array[: self.split] = part.array_r
         f.array[self.split :] = contact.stiffness * np.concatenate(gaps)
