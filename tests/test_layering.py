@@ -23,7 +23,7 @@ ALLOWED = {
     "post": {"results"},
 }
 # The command line and its helpers, the only ones that see everything.
-TOP = {"cli", "explain", "wiring"}
+TOP = {"cli", "explain", "tasks", "wiring"}
 PETSC = {"problem", "solver", "inverse"} | TOP
 
 

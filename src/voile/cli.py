@@ -2,8 +2,6 @@
 
 import argparse
 import os
-import platform
-import resource
 import sys
 import time
 import traceback
@@ -13,7 +11,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread per rank; befor
 
 from voile.errors import InputError, NotConverged
 
-NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
@@ -186,19 +183,18 @@ def _run(args: argparse.Namespace) -> int:
     from mpi4py import MPI
 
     from voile.results import prepare_output
+    from voile.tasks import Progress, run_inverse, run_statics
 
     comm = MPI.COMM_WORLD
     scene, model = _collective(comm, lambda: _load(args))
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
-    path, problem, seconds = _solve(scene, model, folder, comm, progress)
-    seconds["total"] = time.perf_counter() - began
-    if comm.rank == 0:
-        _summarise(scene, model, path, problem, folder, seconds, comm)
-        progress.line(f"results in {folder}")
-    if not path.converged:
-        raise NotConverged(f"{args.scene}: {path.reason}; what was computed is kept in {folder}")
+    task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
+    failure = task(scene, model, folder, comm, progress, began)
+    progress.line(f"results in {folder}")
+    if failure:
+        raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
     return 0
 
 
@@ -222,162 +218,6 @@ def _collective(comm, action):
         raise error
     scene = comm.bcast(outcome[0] if outcome else None)
     return scene, outcome[1] if outcome else None
-
-
-def _solve(scene, model, folder: Path, comm, progress: "Progress"):
-    from voile.problem.contact import attach
-    from voile.problem.discrete import Problem
-    from voile.results import ResultWriter
-    from voile.solver.path import StaticsOptions
-    from voile.solver.sewing import sew
-    from voile.solver.statics import solve_statics
-    from voile.wiring import static_mesh
-
-    s = scene.statics
-    options = StaticsOptions(
-        s.load_steps, s.max_steps, s.perturbation, s.tolerance, s.stability, s.eigenvalue
-    )
-    shell = sew(model.shell if model else None, comm)
-    problem = Problem(shell, comm)
-    attach(problem, *comm.bcast((model.obstacles, model.offset) if model else None))
-    mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
-    writing, reached = 0.0, 0
-    with ResultWriter(
-        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=_versions()
-    ) as writer:
-
-        def write(factor: float, y, scalars: dict[str, float]) -> None:
-            nonlocal writing
-            start = time.perf_counter()
-            writer.write_step(factor, scalars=scalars, **_rows(problem, y))
-            writing += time.perf_counter() - start
-
-        def keep(step, y) -> None:
-            write(step.factor, y, {"residual": step.residual, "converged": 1.0})
-
-        def on_step(step, y) -> None:
-            nonlocal reached
-            progress.step(step)
-            reached += 1
-            if step.factor >= 1.0 or reached % scene.output.every == 0:
-                keep(step, y)
-
-        path = solve_statics(problem, options, on_step=on_step, monitor=progress.iteration)
-        if not path.converged and not reached:
-            write(0.0, path.state, {"residual": float("inf"), "converged": 0.0})
-        elif not path.converged and reached % scene.output.every:
-            keep(path.steps[-1], path.state)  # the last good one
-    seconds = {**problem.seconds, **path.seconds, "input_output": writing}
-    return path, problem, seconds
-
-
-def _rows(problem, y) -> dict:
-    """What the result file takes of a state: this rank's rows and the obstacles' placements."""
-    import numpy as np
-
-    from voile.problem.contact import contact_fields
-
-    part, (u, phi) = problem.part, problem.local(y)
-    own = part.owned_vertices
-    rows = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
-    if problem.directors:
-        rows |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
-    if problem.contact:
-        rows["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
-        bodies = problem.contact.obstacles
-        rows["placements"] = np.array([body.motion.matrix(problem.load_factor) for body in bodies])
-    return rows
-
-
-def _summarise(scene, model, path, problem, folder: Path, seconds: dict[str, float], comm) -> None:
-    from voile.explain import modelled
-    from voile.results import write_summary
-
-    last = path.steps[-1] if path.steps else None
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    write_summary(
-        folder / "summary.json",
-        {
-            "converged": path.converged,
-            "reason": path.reason,
-            "task": scene.scene.task,
-            "name": scene.scene.name,
-            "dofs": problem.unknowns,
-            "steps": len(path.steps),
-            "load_factor": last.factor if last else 0.0,
-            "newton_iterations": path.newton_iterations,
-            "residual_norm": last.residual if last else None,
-            "residual_tolerance": last.tolerance if last else None,
-            "energy": last.energies if last else {},
-            "contact": (last.contact if last else None) or NO_CONTACT,
-            "ways": [step.way for step in path.steps],
-            "stable": path.stable,
-            "smallest_eigenvalue": path.smallest_eigenvalue,
-            "wall_time_s": seconds,
-            "peak_memory_mib": memory,
-            "ranks": comm.size,
-            "versions": _versions(),
-            "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
-            "notes": model.notes,
-        },
-    )
-
-
-def _versions() -> dict[str, str]:
-    """What a result is computed with."""
-    import numpy
-    from petsc4py import PETSc
-
-    import voile
-
-    return {
-        "voile": voile.__version__,
-        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
-        "numpy": numpy.__version__,
-        "python": platform.python_version(),
-    }
-
-
-class Progress:
-    """Live on a terminal, plain lines (at most one every few seconds between steps) elsewhere."""
-
-    QUIET = 5.0  # s between lines of a batch log
-
-    def __init__(self, comm):
-        self.quiet = comm.rank != 0
-        self.live = sys.stdout.isatty() and comm.size == 1  # mpirun lends its ranks a terminal
-        self.began = self.last = time.perf_counter()
-
-    def line(self, text: str) -> None:
-        """A line that stays."""
-        if not self.quiet:
-            print(("\r\033[K" if self.live else "") + text, flush=True)
-
-    def iteration(self, factor: float, iteration: int, residual: float) -> None:
-        """One Newton iteration at a load factor."""
-        now = time.perf_counter()
-        if self.quiet or (not self.live and now - self.last < self.QUIET):
-            return
-        self.last = now
-        text = (
-            f"load {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  {now - self.began:.1f} s"
-        )
-        print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
-
-    def step(self, step) -> None:
-        """One converged load step."""
-        energy = sum(step.energies.values())
-        self.line(
-            f"load {step.factor:.4f}  Newton {step.iterations:3d}  residual {step.residual:.2e} N "
-            f"(<= {step.tolerance:.2e})  energy {energy:.6e} J  {_touching(step)}"
-            f"{time.perf_counter() - self.began:.1f} s"
-        )
-
-
-def _touching(step) -> str:
-    """What a step's contact is, for a line of progress; empty without."""
-    c = step.contact
-    return f"contact {c['active']} ({c['slip']} slip, {step.way})  " if c else ""
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ from voile.scene import Scene
 from voile.scene.schema import Obstacle as ObstacleSpec
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
+SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
+SUNK_TOLERANCES = 5.0
 
 
 @dataclass
@@ -71,7 +73,11 @@ def build_model(scene: Scene) -> Model:
     if offset is None:
         offset = 0.5 * float(shell.thickness.max())
     if bodies:
-        check_depth(bodies, shell, offset, f"{scene.path}: obstacle")
+        size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+        deepest = DEEPEST * size
+        if scene.scene.task == "inverse":
+            deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
+        check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
     else:
         check_supports(shell)
     return Model(shell, surface, rest, list(surface.notes), bodies, offset)
@@ -201,10 +207,9 @@ def _body(spec: ObstacleSpec, common: dict) -> MeshBody:
     return mesh_body(points + spec.translate, triangles, spec.resolution, str(spec.file), **common)
 
 
-def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str) -> None:
-    """Raises InputError, naming the key `where`, if a vertex that can move starts deeper inside an obstacle than a push
-    could mend."""
-    limit = DEEPEST * float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str, limit: float) -> None:
+    """Raises InputError, naming the key `where`, if a vertex that can move starts deeper inside an obstacle than limit
+    (m)."""
     free = ~shell.fixed.all(axis=1)
     for k, obstacle in enumerate(bodies):
         gap = np.where(free, obstacle.gap(shell.points, 0.0) - offset, np.inf)

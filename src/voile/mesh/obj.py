@@ -17,6 +17,7 @@ from voile.mesh.raw import RawMesh, fan
 from voile.mesh.stitches import Stitches
 
 _Records = dict[bytes, tuple[list[int], list[int], list[bytes]]]
+METRES = "unit: metre"  # as a comment in the first line: the scale of a scene does not apply
 _ABSENT = 2**62  # stands for the missing texture index of `v//n`: no index of a file can be that large
 _CORNER = re.compile(rb"[+-]?\d+(/[+-]?\d+)?$|[+-]?\d+/([+-]?\d+)?/[+-]?\d+$")
 _NUMBERS = {b"v": (2, "v x y z"), b"vt": (2, "vt u v"), b"stitch": (4, "stitch i j k w")}  # least, form
@@ -62,7 +63,13 @@ def read_obj(path: Path) -> RawMesh:
         triangle_lines=lines[face],
         stitch_lines=stitch_lines if len(sewn) else None,
         notes=tuple(notes),
+        in_metres=_first_line(path) == f"# {METRES}",
     )
+
+
+def _first_line(path: Path) -> str:
+    with open(path, encoding="utf-8", errors="replace") as file:
+        return file.readline().strip()
 
 
 def _scan(path: Path) -> _Records:

@@ -28,6 +28,7 @@ class RawMesh:
     triangle_lines: np.ndarray | None = None
     stitch_lines: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    in_metres: bool = False  # the file says so: no scale applies
 
     def vertex(self, index: int) -> str:
         """Name of a vertex in a message."""

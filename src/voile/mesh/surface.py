@@ -192,6 +192,9 @@ def _read_raw(path: Path, scale: float) -> RawMesh:
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the mesh file is empty")
     raw = read_obj(path) if path.suffix.lower() == ".obj" else _read_meshio(path)
+    if raw.in_metres and scale != 1.0:
+        raw.notes = (*raw.notes, f"{path.name} says that it is in metres: scale = {scale:g} is not applied")
+        scale = 1.0
     raw.points = raw.points * scale
     raw.texture = None if raw.texture is None else raw.texture * scale
     return raw

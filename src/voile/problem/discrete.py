@@ -211,9 +211,9 @@ class Problem:
         """Writes the gradient of the potential (N; N m for directors) to f. reactions (local vertices, 3): contact
         forces on the shell (N) in place of the potential's own."""
         forces = self._forces(y)
-        if self.contact:
-            if reactions is None:
-                reactions = self.contact.force(self.positions(y), self.load_factor, frozen=True)
+        if self.contact and reactions is None:
+            reactions = self.contact.force(self.positions(y), self.load_factor, frozen=True)
+        if reactions is not None:
             forces[: self._size[0]] -= reactions.ravel()
         f.array[:] = self._collect @ forces
         if self.anchor:
@@ -274,17 +274,21 @@ class Problem:
                 )
             if self.contact and contact is None:
                 contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
-            for vertices, blocks in contact or ():
-                self._scatter.add_vertices(vertices.astype(np.int32), np.ascontiguousarray(blocks))
+            self._add(contact or ())
             matrix.assemble()
         if self.anchor:
             self.anchor.add_to(matrix)
 
-    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray) -> None:
-        """Writes triangle blocks (m, 21, 21) to a `create_matrix` matrix; they need not be symmetric."""
+    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks) -> None:
+        """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
         self._bind(matrix)
         self._scatter.assemble(blocks)
+        self._add(at_vertices)
         matrix.assemble()
+
+    def _add(self, at_vertices: Blocks) -> None:
+        for vertices, blocks in at_vertices:
+            self._scatter.add_vertices(vertices.astype(np.int32), np.ascontiguousarray(blocks))
 
     def gather_triangles(self, forces: np.ndarray) -> PETSc.Vec:
         """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)

@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.discrete import Blocks, Problem
 
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
@@ -40,9 +40,10 @@ class RestShape:
         y.array[self.is_vertex] = 0.0
         return y
 
-    def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat) -> None:
-        """Writes dR/dX at the state y to a `create_matrix` matrix, masses included; director columns are zero."""
-        self.problem.assemble(matrix, self._blocks(y))
+    def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat, at_vertices: Blocks = ()) -> None:
+        """Writes dR/dX at the state y to a `create_matrix` matrix, masses included; director columns are zero.
+        at_vertices: (indices, (p, 3, 3) N/m) to be added."""
+        self.problem.assemble(matrix, self._blocks(y), at_vertices)
 
     def fabric_derivative(self, y: PETSc.Vec, name: str) -> PETSc.Vec:
         """dR/dp for one factor p on the thickness, Young's modulus (per unit, absolute), Poisson's ratio or density

@@ -31,6 +31,21 @@ def check_supports(shell: Shell) -> None:
             )
 
 
+def free_motions(shell: Shell) -> np.ndarray:
+    """(n, 3, k) rigid motions that the supports leave to the shell's pieces, about each piece's centre, rotations over
+    its size: displacements of order 1."""
+    pieces, found = _pieces(shell), []
+    for piece in range(pieces.max() + 1):
+        vertices = np.flatnonzero(pieces == piece)
+        x = shell.points[vertices]
+        arm = (x - x.mean(axis=0)) / max(float(np.ptp(x, axis=0).max()), 1e-300)
+        for mode in _free_modes(shell, vertices):
+            motion = np.zeros((len(shell.points), 3))
+            motion[vertices] = mode[:3] + np.cross(mode[3:], arm)
+            found.append(motion)
+    return np.stack(found, axis=2) if found else np.zeros((len(shell.points), 3, 0))
+
+
 def _pieces(shell: Shell) -> np.ndarray:
     """(n,) index of each vertex's piece; vertices of no triangle are pieces of their own."""
     n = len(shell.points)

@@ -28,6 +28,7 @@ POINT_FIELDS = {
     "reaction": Field("N", "contact reaction on the shell", 3),
     "gap": Field("m", "distance to the nearest obstacle, negative inside"),
     "contact": Field("", "0 free, 1 stick, 2 slip", dtype=np.uint8),
+    "mode": Field("", "softest mode, largest entry 1", 3),
     "velocity": Field("m/s", "velocity", 3),
     "acceleration": Field("m/s^2", "acceleration", 3),
 }

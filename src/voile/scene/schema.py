@@ -257,6 +257,11 @@ class Inverse:
     estimate: tuple[str, ...] = key(
         Array(Choice("thickness", "young", "poisson", "density")), "parameters to estimate too", default=()
     )
+    tolerance: float = key(
+        Number(above=0, below=1),
+        "norm of the residual over the norm of the load, of the simulations that prove the rest shape",
+        default=1e-10,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,9 +314,12 @@ def json_schema() -> dict[str, Any]:
 
 def unsupported(scene: Scene) -> list[str]:
     """What the scene asks for that this version cannot compute yet, by key; empty when it can be run."""
+    inverse = scene.scene.task == "inverse"
     asked = {
-        f'scene.task = "{scene.scene.task}"': scene.scene.task != "statics",
+        f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
+        f"inverse.developable = {scene.inverse.developable!r}": inverse and bool(scene.inverse.developable),
+        f"inverse.estimate = {list(scene.inverse.estimate)}": inverse and bool(scene.inverse.estimate),
         "contact.self_contact = true": scene.contact.self_contact,
     }
     return [what for what, used in asked.items() if used]

@@ -1,0 +1,183 @@
+"""Inverse statics without forward solves: the rest shape for which the target itself is in equilibrium.
+
+With the rest positions of held vertices at their target, the balance of forces at the target, R(x_t, phi; X) = 0, is
+a square system for the rest positions X and the director angles phi: Newton's method along a continuation in the load
+from X = x_t, where a shell without load is in equilibrium. Each step ends with the inertia of the tangent K(x_t; X) on
+the unknowns that contact leaves free: where it is lost, no stable answer continues the branch.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.inverse.target import Target
+from voile.solver.newton import factorisation_error, negative_pivots
+from voile.solver.stability import factored
+
+MOST = 40  # Newton iterations of one step
+IDLE = 10  # of them without a smaller residual
+EASY = 5  # iterations after which the next step doubles
+SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
+WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
+ROUND_OFF = 4e-15  # relative, of the residual's evaluation
+AREAS = 0.1, 10.0  # bounds of a rest triangle's area over the target's
+
+
+@dataclass
+class DirectStep:
+    """A converged step: load fraction, iterations, norm of the residual (N), negative eigenvalues of the tangent."""
+
+    fraction: float
+    iterations: int
+    residual: float
+    negative: int
+
+
+@dataclass
+class DirectPath:
+    """The outcome. `rest`: rest displacements and director angles of the last stable step, at load `fraction`;
+    `reason` says what ended the path before the full load; `critical`: fraction at which stability is lost, and `mode`,
+    there, the shape of the instability (unknowns, largest entry 1)."""
+
+    rest: PETSc.Vec
+    fraction: float = 0.0
+    converged: bool = False
+    reason: str = ""
+    critical: float | None = None
+    mode: PETSc.Vec | None = None
+    residual: float = math.nan
+    iterations: int = 0
+    steps: list[DirectStep] = field(default_factory=list)
+
+
+Progress = Callable[[DirectStep], None]
+
+
+class Direct:
+    """Newton's method in the rest shape at a target."""
+
+    def __init__(self, target: Target, tolerance: float = 1e-10):
+        """tolerance: residual over the loads' norm."""
+        self.target, self.problem, self.rest = target, target.problem, target.rest
+        self.tolerance = tolerance
+        self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.lu = PETSc.PC().create(comm=self.problem.comm)
+        self.lu.setOptionsPrefix("inverse_")
+        self.lu.setType(PETSc.PC.Type.LU)
+        self.lu.setFactorSolverType("mumps")
+        self.lu.setFromOptions()
+
+    def follow(self, on_step: Progress | None = None) -> DirectPath:
+        """The branch from the target itself without load to the full load, or to where it ends."""
+        z = self.problem.create_vector()
+        path = DirectPath(rest=z.copy())
+        step = 1.0
+        while path.fraction < 1.0:
+            fraction = min(1.0, path.fraction + step)
+            path.rest.copy(z)
+            reason, norm, iterations = self.solve(z, fraction)
+            path.iterations += iterations
+            negative = None if reason else self.negative(z)
+            if reason or negative:
+                step *= 0.5
+                if negative:
+                    path.critical, path.mode = fraction, self.target.softest_mode(z)
+                    reason = f"stability is lost between {path.fraction:.4g} and {fraction:.4g} of the load"
+                path.reason = reason
+                if step < SMALLEST:
+                    break
+                continue
+            assert negative is not None
+            path.fraction, path.residual = fraction, norm
+            z.copy(path.rest)
+            path.steps.append(DirectStep(fraction, iterations, norm, negative))
+            if on_step:
+                on_step(path.steps[-1])
+            if path.critical is None and iterations <= EASY:
+                step *= 2.0
+            elif path.critical is not None:
+                step = min(step, 0.5 * (path.critical - fraction))
+                if step < SMALLEST:
+                    break
+        path.converged = path.fraction >= 1.0
+        self.target.load(path.fraction)
+        self.rest.set(path.rest)
+        self.target.hold(path.rest)
+        return path
+
+    def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
+        """Newton's method at a fraction of the load from z, which ends at the solution: reason of a failure or empty,
+        norm of the residual (N) and iterations."""
+        problem, target = self.problem, self.target
+        target.load(fraction)
+        f, direction = problem.create_vector(), problem.create_vector()
+        norm, best, idle = math.inf, math.inf, 0
+        for it in range(MOST + 1):
+            self.rest.set(z)
+            invalid = self._invalid()
+            if invalid:
+                return invalid, norm, it
+            y = self.rest.state(z)
+            target.hold(z)
+            target.residual(y, f)
+            norm, loads = f.norm(), target.load_norm(y)
+            if norm <= max(self.tolerance * loads, self._floor()):
+                return "", norm, it
+            idle = idle + 1 if norm >= best else 0
+            if not norm < WORST * max(loads, best) or idle > IDLE:
+                break
+            best = min(best, norm)
+            if not self._step(y, f, direction):
+                return "dR/dX is singular", norm, it
+            z.axpy(-1.0, direction)
+        return f"the residual stays at {norm:.2e} N", norm, it
+
+    def _step(self, y: PETSc.Vec, f: PETSc.Vec, direction: PETSc.Vec) -> bool:
+        """Newton's direction D^-1 f; False where D is singular."""
+        self.linearise(y)
+        self.lu.setOperators(self.matrix)
+        self.lu.setUp()
+        if factorisation_error(self.lu):
+            self.lu.reset()
+            return False
+        self.lu.apply(f, direction)
+        return bool(np.isfinite(direction.norm()))
+
+    def linearise(self, y: PETSc.Vec) -> None:
+        """Writes the derivative of the residual by rest positions and director angles to `matrix`."""
+        problem = self.problem
+        self.target.jacobian(y, self.matrix)
+        if problem.directors:
+            problem.tangent(y, self.tangent)
+            mask = problem.create_vector()
+            mask.array[~self.rest.is_vertex] = 1.0
+            self.tangent.diagonalScale(None, mask)
+            self.matrix.axpy(1.0, self.tangent, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
+    def _floor(self) -> float:
+        """Round-off of the residual (N): of positions times stiffness."""
+        if not self.matrix.isAssembled():
+            return 0.0
+        return ROUND_OFF * self.matrix.norm(PETSc.NormType.INFINITY) * self.problem.size()
+
+    def negative(self, z: PETSc.Vec) -> int:
+        """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
+        pc = factored(self.target.stiffness(self.rest.state(z)))
+        count = negative_pivots(pc)
+        pc.destroy()
+        assert count is not None  # a Cholesky factorisation tells
+        return count
+
+    def _invalid(self) -> str:
+        low, high = self.rest.area_ratios()
+        if not (low >= AREAS[0] and high <= AREAS[1]):
+            return (
+                f"rest triangles would have {low:.2g} to {high:.2g} times the target's area; "
+                f"allowed: {AREAS[0]:g} to {AREAS[1]:g}"
+            )
+        return ""

@@ -1,0 +1,123 @@
+"""Reactions in Coulomb's cones that hold a shell as a whole, and the least friction with which there are any.
+
+Internal forces have no resultant, so the reactions of a shell without supports balance its loads by themselves: one
+equation per free rigid motion. Among the reactions that do, those nearest to carrying each vertex's own load,
+
+    min sum_i |r_i + f_i|^2 / (2 w_i)   with   r_i in K_i,   Z^T (r + f) = 0,
+
+w_i the size of the vertex's load, Z the free rigid motions, are r_i = P_Ki(w_i Z_i lambda - f_i) with lambda the least
+of a convex function in as many unknowns as there are free motions, which has none where no reactions suffice.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+MOST = 200  # Newton iterations
+FAR = 1e7  # |lambda| beyond which the reactions cannot balance the loads
+BALANCED = 1e-13  # resultant over the loads
+BISECTIONS = 40
+
+
+@dataclass
+class Cones:
+    """Contacts of one rank: vertex (c,) of each, unit normal (c, 3), friction (c,)."""
+
+    vertex: np.ndarray
+    normal: np.ndarray
+    friction: np.ndarray
+
+    def scaled(self, friction: np.ndarray | float) -> "Cones":
+        """The same contacts with another friction."""
+        return replace(self, friction=np.broadcast_to(friction, self.friction.shape))
+
+    def project(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Projection (c, 3) of v (c, 3) on the cones |r_T| <= mu r_N, and its derivative (c, 3, 3)."""
+        n, mu = self.normal, self.friction
+        vn = np.einsum("ci,ci->c", n, v)
+        vt = v - vn[:, None] * n
+        size = np.linalg.norm(vt, axis=1)
+        along = vt / np.maximum(size, 1e-300)[:, None]
+        inside, polar = size <= mu * vn, mu * size <= -vn
+        length = (vn + mu * size) / (1.0 + mu**2)
+        edge = n + mu[:, None] * along
+        across = np.cross(n, along)
+        on_edge = edge[:, :, None] * edge[:, None, :] / (1.0 + mu**2)[:, None, None]
+        turning = mu * length / np.maximum(size, 1e-300)
+        on_edge += turning[:, None, None] * across[:, :, None] * across[:, None, :]
+        r = np.where(inside[:, None], v, np.where(polar[:, None], 0.0, length[:, None] * edge))
+        slope = np.where(inside[:, None, None], np.eye(3), np.where(polar[:, None, None], 0.0, on_edge))
+        return r, slope
+
+
+@dataclass
+class Balance:
+    """The loads to be held: weight (c,) > 0 and load (c, 3) N of each contact's vertex, modes (c, 3, k) the free rigid
+    motions there, resultant (k,) N of all loads in them, scale (N) of the loads; own (c,) marks what this rank counts,
+    add sums an array over ranks."""
+
+    weight: np.ndarray
+    load: np.ndarray
+    modes: np.ndarray
+    resultant: np.ndarray
+    scale: float
+    own: np.ndarray
+    add: Callable[[np.ndarray], np.ndarray]
+
+    def solve(self, cones: Cones) -> np.ndarray | None:
+        """(c, 3) reactions (N), or None where no reactions in the cones balance the loads."""
+        k = len(self.resultant)
+        factor = np.zeros(k)
+        value, gradient, hessian, r = self._dual(cones, factor)
+        for _ in range(MOST):
+            if np.linalg.norm(gradient) <= BALANCED * self.scale:
+                return r
+            damping = 1e-10 * np.trace(hessian) / max(k, 1) + 1e-14 * self.scale
+            step = -np.linalg.solve(hessian + damping * np.eye(k), gradient)
+            share = 1.0
+            while True:
+                trial = self._dual(cones, factor + share * step)
+                if trial[0] <= value + 1e-4 * share * float(gradient @ step) + 1e-15 * abs(value):
+                    break
+                share *= 0.5
+                if share < 1e-12:
+                    return r if np.linalg.norm(gradient) <= 1e3 * BALANCED * self.scale else None
+            factor = factor + share * step
+            value, gradient, hessian, r = trial
+            if np.linalg.norm(factor) > FAR:
+                return None
+        return None
+
+    def _dual(self, cones: Cones, factor: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """The convex function of lambda, its gradient (k,), Hessian (k, k), and the reactions."""
+        trial = self.weight[:, None] * (self.modes @ factor) - self.load
+        r, slope = cones.project(trial)
+        own = self.own
+        value = np.sum((r**2).sum(axis=1)[own] / (2.0 * self.weight[own]))
+        gradient = np.einsum("cik,ci->k", self.modes[own], r[own])
+        bent = np.einsum("cij,cjk->cik", slope * self.weight[:, None, None], self.modes)
+        hessian = np.einsum("cik,cil->kl", self.modes[own], bent[own])
+        total = self.add(np.concatenate([[value], gradient, hessian.ravel()]))
+        k = len(factor)
+        return (
+            float(total[0] + self.resultant @ factor),
+            total[1 : k + 1] + self.resultant,
+            total[k + 1 :].reshape(k, k),
+            r,
+        )
+
+
+def least_friction(balance: Balance, cones: Cones, most: float = 100.0) -> float | None:
+    """The least friction, the same everywhere, with which some reactions balance the loads; None beyond `most`."""
+    if balance.solve(cones.scaled(0.0)) is not None:
+        return 0.0
+    if balance.solve(cones.scaled(most)) is None:
+        return None
+    low, high = 1e-6, most
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if balance.solve(cones.scaled(middle)) is not None else (middle, high)
+        if high < 1.0001 * low:
+            break
+    return high

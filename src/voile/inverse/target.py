@@ -1,0 +1,303 @@
+"""The target: the shape that is to be in equilibrium, with what holds it there."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.contact.obstacles import Obstacle
+from voile.contact.state import FIRM, FREE, STICK, Contact
+from voile.errors import NotConverged
+from voile.inverse.reactions import Balance, Cones, least_friction
+from voile.problem.contact import attach
+from voile.problem.discrete import Problem
+from voile.problem.rest import RestShape
+from voile.problem.scales import slow_rate
+from voile.problem.shell import Shell
+from voile.problem.supports import free_motions
+from voile.solver.stability import smallest_eigenpair
+
+RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
+TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
+
+
+@dataclass
+class Touch:
+    """Contacts of one obstacle at the target: local vertices (c,), their gaps before any offset (m), lengths of the
+    gap's gradient, unit normals, and the gap's Hessian over that length."""
+
+    index: int
+    vertex: np.ndarray
+    gap: np.ndarray
+    steepness: np.ndarray
+    normal: np.ndarray
+    curvature: np.ndarray
+
+
+class Target:
+    """A problem at its start shape, the target, as the inverse solvers see it.
+
+    Vertices nearer than `tolerance` (m) to an obstacle's surface may carry a reaction there; their gaps are kept as
+    they are. `reactions` (c, 3) N are in Coulomb's cones and hold the shell as a whole; they act as dead forces while
+    the rest shape is sought, and are those of contact in the simulation (`obstruct`).
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        shell: Shell | None,
+        obstacles: list[Obstacle],
+        offset: float,
+        tolerance: float,
+        friction: bool = True,
+    ):
+        self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
+        self.rest = RestShape(problem)
+        self._young = problem.part.fabric[1].copy()
+        self.tangent = problem.create_matrix()
+        comm = problem.comm
+        modes = comm.bcast(free_motions(shell) if shell is not None else None)
+        self.modes = modes[problem.part.vertex]
+        self.ground_rows = np.zeros(0, dtype=np.int32) if obstacles else self._grounding()
+        self.x = problem.positions(problem.create_vector())
+        self.movable = np.diff(problem.part.matrix.indptr)[: 3 * len(self.x)].reshape(-1, 3).any(axis=1)
+        self.touches = [self._touch(k) for k in range(len(obstacles))]
+        self.cones = self._cones(friction)
+        self.reactions = np.zeros((len(self.cones.vertex), 3))
+        self._slope = np.zeros((len(self.cones.vertex), 3, 3))
+        fabric, part = problem.part.fabric, problem.part
+        total = comm.allreduce(np.array([(fabric[0] * fabric[1]) @ part.weight, part.weight.sum()]))
+        self.firmness = float(total[0] / total[1])  # N/m, about the shell's own at a vertex
+        self.least_friction: float | None = None
+        self._used = self.cones
+        self._settle_friction()
+
+    # ---- contacts ----
+
+    def _touch(self, k: int) -> Touch:
+        gap = self.obstacles[k].gap(self.x, 0.0)
+        near = np.flatnonzero((gap - self.offset < self.tolerance) & self.movable)
+        _, gradient, curvature = self.obstacles[k].gap_derivatives(self.x[near], 0.0)
+        steepness = np.linalg.norm(gradient, axis=1)
+        unit, bent = gradient / steepness[:, None], curvature / steepness[:, None, None]
+        return Touch(k, near, gap[near], steepness, unit, bent)
+
+    def _cones(self, friction: bool) -> Cones:
+        if not self.touches:
+            return Cones(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
+        mu = [o.friction if friction else 0.0 for o in self.obstacles]
+        return Cones(
+            np.concatenate([t.vertex for t in self.touches]),
+            np.concatenate([t.normal for t in self.touches]),
+            np.concatenate([np.full(len(t.vertex), mu[t.index]) for t in self.touches]),
+        )
+
+    def _balance(self) -> Balance:
+        """The present loads, at load factor 1."""
+        problem, part = self.problem, self.problem.part
+        n = len(part.vertex)
+        load = (problem.weight_force()[: 3 * n] + part.force[: 3 * n]).reshape(-1, 3)
+        size = np.linalg.norm(load, axis=1)
+        total = problem.comm.allreduce(np.array([size[problem.own].sum(), float(problem.own.sum())]))
+        v = self.cones.vertex
+        resultant = problem.comm.allreduce(np.einsum("vik,vi->k", self.modes[problem.own], load[problem.own]))
+        return Balance(
+            weight=np.maximum(size[v], 1e-3 * total[0] / total[1]),
+            load=load[v],
+            modes=self.modes[v],
+            resultant=resultant,
+            scale=float(total[0]),
+            own=problem.own[v],
+            add=problem.comm.allreduce,
+        )
+
+    def _settle_friction(self) -> None:
+        """Chooses how much of the friction the reactions may use. Raises NotConverged where all is not enough."""
+        if not self.modes.shape[2] and not self.obstacles:
+            return
+        balance, cones = self._balance(), self.cones
+        if balance.solve(cones) is None:
+            raise NotConverged(self._no_reactions(balance))
+        least = least_friction(balance, cones)
+        self.least_friction = least
+        if least is not None:
+            reserve = RESERVE * np.maximum(cones.friction - least, 0.0)
+            self._used = cones.scaled(cones.friction - reserve)
+
+    def _no_reactions(self, balance: Balance) -> str:
+        count = self.problem.comm.allreduce(int(balance.own.sum()))
+        names = ", ".join(f"{o.name} (friction {o.friction:g})" for o in self.obstacles) or "none"
+        if not count:
+            return (
+                f"the target touches nothing that could hold it: no vertex within inverse.contact_tolerance = "
+                f"{self.tolerance:g} m of an obstacle ({names}), and the supports leave it free to move"
+            )
+        least = least_friction(balance, self.cones)
+        offer = "no friction would do: it must touch elsewhere, or be supported"
+        if least is not None:
+            where = self._where(balance.solve(self.cones.scaled(least)))
+            offer = f"the least friction that would do is {least:.4g}, {where}"
+        return f"no reactions in the cones of its {count} contacts hold the target on {names}: {offer}"
+
+    def _where(self, r: np.ndarray | None) -> str:
+        """The contact that would carry most."""
+        assert r is not None
+        size = np.linalg.norm(r, axis=1)
+        mine = (float(size.max(initial=0.0)), self.problem.comm.rank)
+        most, rank = self.problem.comm.allreduce(mine, op=MPI.MAX)
+        text = ""
+        if rank == self.problem.comm.rank and len(size):
+            k = int(np.argmax(size))
+            v = self.cones.vertex[k]
+            x = ", ".join(f"{c:.4g}" for c in self.x[v])
+            text = f"with {most:.3g} N at vertex {self.problem.part.vertex[v]} ({x})"
+        return self.problem.comm.bcast(text, root=rank)
+
+    def hold(self, z: PETSc.Vec) -> None:
+        """Reactions for the rest displacement z."""
+        moved = self.problem.motion(z)[self._used.vertex]
+        self.reactions, self._slope = self._used.project(self.firmness * moved)
+
+    def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
+        """Balance of forces at y with the present rest shape and reactions (N)."""
+        total = np.zeros_like(self.x)
+        np.add.at(total, self.cones.vertex, self.reactions)
+        self.problem.residual(y, f, total)
+        f.array[self._mine() - self.problem.part.first_global] = 0.0
+
+    def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat) -> None:
+        """Its derivative by the rest positions."""
+        self.rest.jacobian(y, matrix, [(self.cones.vertex, -self.firmness * self._slope)])
+        if len(self.ground_rows):
+            matrix.zeroRowsColumns(self._mine(), 1.0)
+
+    def margins(self) -> tuple[np.ndarray, np.ndarray]:
+        """(c,) normal reactions (N) and margins to slip: 1 - |r_T| / (mu r_N), 1 where nothing bears."""
+        normal = np.einsum("ci,ci->c", self.reactions, self.cones.normal)
+        tangential = np.linalg.norm(self.reactions - normal[:, None] * self.cones.normal, axis=1)
+        bound = self.cones.friction * normal
+        share = np.divide(tangential, bound, out=np.zeros_like(bound), where=bound > 0.0)
+        return normal, 1.0 - share
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """Of the target at the local vertices: reaction (n, 3) N, gap (n,) m, contact (n,): 1 where it bears."""
+        if not self.obstacles:
+            return {}
+        n = len(self.x)
+        reaction, gap = np.zeros((n, 3)), np.full(n, np.inf)
+        np.add.at(reaction, self.cones.vertex, self.reactions)
+        for obstacle in self.obstacles:
+            gap = np.minimum(gap, obstacle.gap(self.x, 0.0) - self.offset)
+        for touch in self.touches:
+            gap[touch.vertex] = 0.0  # as recorded
+        state = np.where(np.linalg.norm(reaction, axis=1) > 0.0, STICK, FREE).astype(np.uint8)
+        return {"reaction": reaction, "gap": gap, "contact": state}
+
+    # ---- the problem at the target ----
+
+    def load(self, fraction: float) -> None:
+        """Sets the fraction of all loads."""
+        self.problem.load_factor = fraction
+
+    def stiffen(self, factor: float) -> None:
+        """Young's modulus times a factor (from the true one): with the full load, what 1/factor of it does."""
+        fabric = self.problem.part.fabric
+        fabric[1] = factor * self._young
+        self.problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
+
+    def load_norm(self, y: PETSc.Vec) -> float:
+        """Norm of the full loads on the unknowns (N)."""
+        factor, self.problem.load_factor = self.problem.load_factor, 1.0
+        norm = self.problem.load_norm(y)
+        self.problem.load_factor = factor
+        return norm
+
+    def _grounding(self) -> np.ndarray:
+        """Global indices of as many unknowns as there are free motions, which held stop them all."""
+        problem, part = self.problem, self.problem.part
+        k, n = self.modes.shape[2], len(part.vertex)
+        rows = part.matrix[: 3 * n]
+        single = np.flatnonzero(np.diff(rows.indptr) == 1)
+        columns = rows.indices[rows.indptr[single]]
+        mine = columns < part.owned
+        values = np.zeros((part.owned, k))
+        values[columns[mine]] = self.modes.reshape(3 * n, k)[single[mine]]
+        values = np.concatenate(problem.comm.allgather(values))
+        if not k:
+            return np.zeros(0, dtype=np.int32)
+        _, _, order = scipy.linalg.qr(values.T, mode="economic", pivoting=True)
+        return np.sort(order[:k]).astype(np.int32)
+
+    def _mine(self) -> np.ndarray:
+        first = self.problem.part.first_global
+        return self.ground_rows[
+            (self.ground_rows >= first) & (self.ground_rows < first + self.problem.part.owned)
+        ]
+
+    # ---- stability ----
+
+    def stiffness(self, y: PETSc.Vec) -> PETSc.Mat:
+        """The exact tangent at the target with sticking contacts held, slipping ones (no friction) along the normal."""
+        self.problem.tangent(y, self.tangent, "exact", self._held())
+        return self.tangent
+
+    def _held(self):
+        firm = FIRM * self.firmness
+        size = np.linalg.norm(self.reactions, axis=1)
+        largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
+        start = 0
+        for touch in self.touches:
+            rows = slice(start, start + len(touch.vertex))
+            start = rows.stop
+            bears = size[rows] > TINY * largest
+            sticks = self.cones.friction[rows] > 0.0
+            along = touch.normal[:, :, None] * touch.normal[:, None, :]
+            pressed = np.einsum("ci,ci->c", self.reactions[rows], touch.normal)
+            blocks = np.where(
+                sticks[:, None, None],
+                firm * np.eye(3),
+                firm * along - pressed[:, None, None] * touch.curvature,
+            )
+            yield touch.vertex[bears], blocks[bears]
+
+    def softest_mode(self, z: PETSc.Vec) -> PETSc.Vec:
+        """The mode of the smallest eigenvalue at z (unknowns, largest entry 1)."""
+        return self.smallest(z)[1]
+
+    def smallest(self, z: PETSc.Vec) -> tuple[float, PETSc.Vec]:
+        """Smallest omega^2 (1/s^2) of the target and its mode."""
+        return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), slow_rate(self.problem))
+
+    # ---- for the simulation ----
+
+    def obstruct(self) -> None:
+        """Puts the obstacles in the way, each contact at the gap that it has in the target, with its reaction."""
+        problem = self.problem
+        if not self.obstacles:
+            return
+        offset = np.full((len(self.obstacles), len(self.x)), self.offset)
+        for touch in self.touches:
+            offset[touch.index, touch.vertex] = touch.gap
+        attach(problem, self.obstacles, offset)
+        contact = problem.contact
+        assert isinstance(contact, Contact)
+        start = 0
+        for touch in self.touches:
+            r = self.reactions[start : start + len(touch.vertex)]
+            start += len(touch.vertex)
+            normal = np.einsum("ci,ci->c", r, touch.normal)
+            contact.state.normal[touch.index][touch.vertex] = normal / touch.steepness
+            contact.state.friction[touch.index][touch.vertex] = r - normal[:, None] * touch.normal
+
+    @contextmanager
+    def obstructed(self) -> Iterator[None]:
+        """The obstacles in the shell's way, for a simulation."""
+        self.obstruct()
+        try:
+            yield
+        finally:
+            self.problem.contact = None

@@ -1,0 +1,64 @@
+"""Does the rest shape hold the target? The direct simulation from the target, and from a disturbed start."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.inverse.target import Target
+from voile.solver.path import Path, StaticsOptions
+from voile.solver.statics import solve_statics
+
+DISTURBANCE = 1.0  # thicknesses
+
+
+@dataclass
+class Simulation:
+    """A simulation with the rest shape found. sag: largest displacement from the target over its size."""
+
+    path: Path
+    sag: float
+
+    @property
+    def stable(self) -> bool:
+        return self.path.converged and self.path.stable is True
+
+
+def simulate(
+    target: Target, z: PETSc.Vec, tolerance: float, *, disturbed: bool = False, eigenvalue: bool = False
+) -> Simulation:
+    """Statics under the full load with rest shape z (rest displacements and director angles), starting at the target
+    or, disturbed, a thickness off it where nothing touches. tolerance: residual over the loads' norm."""
+    problem = target.problem
+    target.rest.set(z)
+    with target.obstructed():
+        start = target.rest.state(z)
+        if disturbed:
+            start.axpy(DISTURBANCE * problem.thickness(), _disturbance(target))
+        options = StaticsOptions(load_steps=1, tolerance=tolerance, stability=True, eigenvalue=eigenvalue)
+        path = solve_statics(problem, options, start=start)
+    return Simulation(path, sag(target, path.state))
+
+
+def sag(target: Target, y: PETSc.Vec) -> float:
+    """Largest displacement of y from the target over the target's size."""
+    problem = target.problem
+    moved = np.linalg.norm(problem.positions(y) - target.x, axis=1)
+    return problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX) / problem.size()
+
+
+def _disturbance(target: Target) -> PETSc.Vec:
+    """A smooth displacement of largest entry 1 that leaves contacts where they are."""
+    problem, x = target.problem, target.x
+    wave = np.pi * np.array([[3.0, 1.0, 2.0], [1.0, 3.0, 1.0], [2.0, 1.0, 3.0]]) / problem.size()
+    field = np.sin(x @ wave.T)
+    field[target.cones.vertex] = 0.0
+    part = problem.part
+    vertex_rows = part.matrix[: 3 * len(x)]
+    single = np.flatnonzero(np.diff(vertex_rows.indptr) == 1)
+    columns = vertex_rows.indices[vertex_rows.indptr[single]]
+    mine = columns < part.owned
+    direction = problem.create_vector()
+    direction.array[columns[mine]] = field.ravel()[single[mine]]
+    return direction

@@ -1,0 +1,84 @@
+"""Small shells for the inverse tests, as arrays."""
+
+import numpy as np
+
+from voile.elastic import model_name
+from voile.mesh import build_topology
+from voile.problem.shell import Shell
+
+
+def grid(nx: int, ny: int, width: float, height: float):
+    """Points and triangles of a rectangle in the plane z = 0, diagonals alternating."""
+    x, y = np.meshgrid(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    even = (np.add.outer(np.arange(nx), np.arange(ny)) % 2 == 0)[..., None]
+    first = np.where(even, np.stack([a, b, c], -1), np.stack([a, b, d], -1))
+    second = np.where(even, np.stack([a, c, d], -1), np.stack([b, c, d], -1))
+    return points, np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)]).astype(np.int32)
+
+
+def shell(
+    points, triangles, fixed, *, bending="average", young=1e6, thickness=1e-3, density=300.0, **more
+) -> Shell:
+    """A shell of one fabric under gravity along -z whose rest shape is its start shape."""
+    each = np.ones(len(triangles))
+    return Shell(
+        points=points,
+        triangles=triangles,
+        rest_points=points,
+        rest_triangles=triangles,
+        flat=False,
+        model=model_name("koiter", bending, "stvk"),
+        thickness=thickness * each,
+        young=young * each,
+        poisson=0.3 * each,
+        density=density * each,
+        fixed=fixed,
+        motion=np.zeros_like(points),
+        **{"gravity": np.array([0.0, 0.0, -9.81]), **more},
+    )
+
+
+def hanging_sheet(**more) -> Shell:
+    """A curved sheet held along one edge and the next line of vertices."""
+    points, triangles = grid(5, 4, 0.3, 0.2)
+    points[:, 2] = 0.05 * np.sin(4.0 * points[:, 0]) * np.cos(3.0 * points[:, 1])
+    fixed = np.repeat(points[:, :1] < 0.061, 3, axis=1)
+    return shell(points, triangles, fixed, **more)
+
+
+def panels(**more) -> Shell:
+    """Two sheets sewn along an edge, held at their far ends."""
+    points, triangles = grid(3, 3, 0.15, 0.2)
+    points[:, 2] = 0.04 * np.sin(5.0 * points[:, 0] + points[:, 1])
+    n = len(points)
+    mirrored = points * [-1.0, 1.0, 1.0]
+    both = np.concatenate([points, mirrored])
+    other = triangles[:, [0, 2, 1]] + n
+    seam = np.flatnonzero(points[:, 0] < 1e-9)
+    fixed = np.repeat(np.abs(both[:, :1]) > 0.09, 3, axis=1)
+    weight = np.zeros(len(seam))
+    weight[1:-1] = 0.3
+    return shell(
+        both,
+        np.concatenate([triangles, other]).astype(np.int32),
+        fixed,
+        slave=(seam + n).astype(np.int32),
+        first=seam.astype(np.int32),
+        second=np.roll(seam, -1).astype(np.int32),
+        weight=weight,
+        **more,
+    )
+
+
+def strip(cells: int, length: float, width: float, **more) -> Shell:
+    """A straight horizontal strip along x, `length` from its clamp at x = 0, behind which one more cell is held."""
+    points, triangles = grid(cells + 1, 2, length * (1 + 1 / cells), width)
+    points[:, 0] -= length / cells
+    fixed = np.repeat(points[:, :1] < 0.5 * length / cells, 3, axis=1)
+    edges = build_topology(triangles).edges
+    held = fixed[:, 0]
+    clamped = np.flatnonzero(held[edges].all(axis=1)).astype(np.int32)
+    return shell(points, triangles, fixed, clamped_edges=clamped, **more)

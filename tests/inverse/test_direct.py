@@ -1,0 +1,153 @@
+"""Inverse statics at a target: closed forms, stability, contact and friction."""
+
+import numpy as np
+import pytest
+from inverse_shells import hanging_sheet, panels, shell, strip
+from mpi4py import MPI
+
+from voile.contact.obstacles import Cylinder, Motion, Plane
+from voile.errors import NotConverged
+from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+from voile.inverse.target import Target
+from voile.problem.discrete import Problem
+
+LENGTH, WIDTH, THICKNESS, DENSITY = 0.3, 0.03, 1e-3, 300.0
+
+
+def solve(shape, obstacles=(), **options):
+    problem = Problem(shape, MPI.COMM_SELF)
+    return solve_inverse(problem, shape, list(obstacles), 0.5e-3, InverseOptions(**options))
+
+
+def heavy_strip(gamma, upwards=False, cells=60):
+    """gamma = rho g h L^3 / B; nu = 0 makes the strip a beam with B = E h^3 / 12."""
+    rigidity = DENSITY * 9.81 * THICKNESS * LENGTH**3 / gamma
+    shape = strip(
+        cells, LENGTH, WIDTH, bending="tan", young=12.0 * rigidity / THICKNESS**3, thickness=THICKNESS,
+        density=DENSITY,
+    )  # fmt: skip
+    shape.poisson[:] = 0.0
+    if upwards:  # standing on its clamp: gravity along the strip
+        shape.gravity = np.array([-9.81, 0.0, 0.0])
+    return shape, rigidity
+
+
+@pytest.mark.parametrize("gamma", [1.0, 10.0, 50.0])
+def test_strip_that_must_hang_straight_has_the_curvature_of_its_moment(gamma):
+    """kappa(s) = rho g h (L - s)^2 / (2 B): the moment of the overhang over the rigidity."""
+    shape, rigidity = heavy_strip(gamma)
+    result = solve(shape)
+    assert result.converged and result.stable
+    assert result.simulation.sag < 1e-9 and result.disturbed.sag < 1e-6
+    x = result.target.x + result.target.problem.motion(result.rest)
+    middle = x[1::3]  # the centre line, from behind the clamp to the tip
+    step = np.diff(middle, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    turn = np.diff(np.arctan2(step[:, 2], step[:, 0]))
+    curvature = 2.0 * np.tan(turn / 2.0) / (0.5 * (length[1:] + length[:-1]))  # the discrete measure of `tan`
+    s = LENGTH / 60 * np.arange(len(turn))
+    exact = DENSITY * 9.81 * THICKNESS * (LENGTH - s) ** 2 / (2.0 * rigidity)
+    mean, expected = (
+        0.5 * (k[1:] + k[:-1]) for k in (curvature, exact)
+    )  # diagonals alternate from cell to cell
+    np.testing.assert_allclose(mean[1:30], expected[1:30], rtol=5e-3)
+
+
+def test_standing_strip_is_certified_unstable_beyond_the_column_that_buckles():
+    """A heavy column buckles at gamma = 7.837 (Greenhill 1881)."""
+    below, _ = heavy_strip(7.4, upwards=True)
+    above, _ = heavy_strip(8.3, upwards=True)
+    assert solve(below).stable
+    result = solve(above)
+    assert not result.converged
+    assert result.direct.critical == pytest.approx(7.837 / 8.3, rel=0.02)
+    assert "stability is lost" in result.reason
+    mode = result.target.problem.motion(result.mode)
+    tip = np.argmax(result.target.x[:, 0])
+    assert abs(mode[tip, 2]) > 0.9  # it bends sideways
+
+
+@pytest.mark.parametrize("bending", ["average", "sin", "tan", "theta"])
+@pytest.mark.parametrize("build", [hanging_sheet, panels])
+def test_target_of_every_bending_model_stands(build, bending):
+    result = solve(build(bending=bending, young=2e9))
+    assert result.converged, result.reason
+    assert result.simulation.sag < 1e-10
+    assert result.residual < 1e-6 * result.target.load_norm(result.rest)
+
+
+def tube(around=32, up=8, radius=0.1, height=0.1):
+    """A tube about z."""
+    angle = 2 * np.pi * np.arange(around) / around
+    points = np.array(
+        [[radius * np.cos(a), radius * np.sin(a), height * k / up] for k in range(up + 1) for a in angle]
+    )
+    k, j = np.meshgrid(np.arange(up), np.arange(around), indexing="ij")
+    a, b = k * around + j, k * around + (j + 1) % around
+    c, d = b + around, a + around
+    triangles = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
+    return points, triangles.astype(np.int32)
+
+
+def rod(friction, radius=0.0995):
+    return Cylinder(
+        name="rod",
+        friction=friction,
+        motion=Motion(),
+        center=np.zeros(3),
+        axis=np.array([0, 0, 1.0]),
+        radius=radius,
+    )
+
+
+def on_rod():
+    points, triangles = tube()
+    return shell(points, triangles, np.zeros(points.shape, dtype=bool), young=1e7)
+
+
+def test_tube_on_a_rod_needs_friction_and_is_held_by_it():
+    """Held by nothing but friction: reactions balance the weight within their cones, and the tube stays."""
+    result = solve(on_rod(), [rod(0.5)], contact_tolerance=1e-3)
+    report = inverse_report(result)["reactions"]
+    assert result.converged, result.reason
+    np.testing.assert_allclose(
+        report["force"], -result.target.problem.weight_force()[2::3].sum() * np.array([0, 0, 1]), atol=1e-10
+    )
+    assert report["least_margin"] > 0.0
+    assert result.simulation.sag < 1e-10 and result.disturbed.sag < 1e-6
+    step = result.simulation.path.steps[-1].contact
+    assert step["friction_error"] < 1e-8 and step["slip"] == 0
+
+
+def test_tube_on_a_smooth_rod_is_refused():
+    with pytest.raises(NotConverged, match="no reactions in the cones"):
+        solve(on_rod(), [rod(0.0)])
+
+
+def test_target_out_of_reach_of_its_obstacle_is_refused():
+    with pytest.raises(NotConverged, match="touches nothing"):
+        solve(on_rod(), [rod(0.5, radius=0.05)])
+
+
+def test_least_friction_of_a_sheet_on_an_incline_is_its_slope():
+    shape = hanging_sheet()
+    shape.fixed[:] = False
+    points = shape.points.copy()
+    points[:, 2] = 0.0
+    slope = 0.4
+    turn = np.array([[np.cos(slope), 0, -np.sin(slope)], [0, 1, 0], [np.sin(slope), 0, np.cos(slope)]])
+    shape.points = shape.rest_points = points @ turn.T
+    normal = turn @ [0, 0, 1.0]
+    plane = Plane(name="incline", friction=0.6, motion=Motion(), point=-0.5e-3 * normal, normal=normal)
+    problem = Problem(shape, MPI.COMM_SELF)
+    target = Target(problem, shape, [plane], 0.5e-3, 1e-3)
+    assert target.least_friction == pytest.approx(np.tan(slope), rel=1e-3)
+
+
+def test_captured_target_that_hovers_starts_without_a_jump():
+    """The gap of the target is kept: 0.4 mm above the rod, the tube still rests there."""
+    result = solve(on_rod(), [rod(0.5, radius=0.0991)], contact_tolerance=1e-3)
+    assert result.converged, result.reason
+    assert result.simulation.sag < 1e-10
