@@ -1,9 +1,12 @@
 """Quasi-static paths with contact and dry friction: load steps whose order matters, to stable ends.
 
-A leap is a step in which the shell moves far more than supports and obstacles do and than the step before lets expect:
-either the step was too long and Newton's method fell on another branch, or the shell snaps. Motion along a branch goes
-to zero with the load step, that of a snap does not: shorter steps tell them apart, and find where it snaps.
+A leap is a step in which the shell moves far more than supports and obstacles do and than the step before lets expect,
+or to an equilibrium that slip makes unstable: either the step was too long and Newton's method fell on another branch,
+or the shell snaps. Motion along a branch goes to zero with the load step, that of a snap does not: shorter steps tell
+them apart, and find where it snaps.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
@@ -26,6 +29,49 @@ SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
 
+@dataclass
+class Pace:
+    """How long the next load step is, after how many cuts, and what the last ones let expect of it: rate, motion in
+    sizes of the shell per load factor; stable, whether it starts from a stable equilibrium."""
+
+    nominal: float
+    most: int  # cuts
+    factor: float = 0.0
+    cuts: int = 0
+    rate: float = np.inf
+    stable: bool = True
+
+    def __post_init__(self) -> None:
+        self.step = self.longest = self.nominal
+
+    @property
+    def target(self) -> float:
+        """Load factor at the end of the next step."""
+        return 1.0 if self.factor + self.step > 1.0 - 1e-9 else self.factor + self.step
+
+    @property
+    def last_resort(self) -> bool:
+        return self.cuts >= self.most
+
+    @property
+    def shortest(self) -> bool:
+        return self.most == 0 or self.target - self.factor <= SHORTEST * self.nominal
+
+    def failed(self) -> None:
+        """After a step without an equilibrium."""
+        self.cuts += 1
+        self.step = self.longest if self.last_resort else 0.25 * self.step
+
+    def leapt(self) -> None:
+        """After a step that has to be taken back."""
+        self.step = self.longest = 0.25 * (self.target - self.factor)
+
+    def done(self, iterations: int, moved: float, leaps: bool) -> None:
+        self.rate = self.rate if leaps else moved / (self.target - self.factor)
+        self.factor, self.cuts, self.longest = self.target, 0, self.nominal
+        self.step = min(2.0 * self.step, self.nominal) if iterations <= EASY else self.step
+
+
 def follow_contact(
     problem: Problem,
     snes: PETSc.SNES,
@@ -39,43 +85,38 @@ def follow_contact(
     step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step. A leap is
     cut, too, until it is certain that the shell snaps."""
     solver = FrictionalSolver(problem, snes, newton, options.perturbation)
-    factor, nominal = 0.0, 1.0 / options.load_steps
-    step, longest, cuts, rate = nominal, nominal, 0, np.inf
-    most = CUTS if problem.supported else 0  # a smaller load does not hold what nothing holds
+    # A smaller load does not hold what nothing holds.
+    pace = Pace(1.0 / options.load_steps, CUTS if problem.supported else 0)
     problem.load_factor = 0.0
     begin(problem, y)
-    while factor < 1.0:
+    while pace.factor < 1.0:
         if path.attempts >= options.max_steps:
-            path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
+            problem.load_factor = pace.factor
+            path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {pace.factor:g}"
             return
-        target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
-        problem.load_factor, before = target, solver.contact.state.copy()
-        done, outcome = _solve(solver, y, options, path, ways=3 if cuts >= most else 1)
+        problem.load_factor, before = pace.target, solver.contact.state.copy()
+        done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
         if done is None:
-            problem.load_factor = factor
-            if cuts >= most:
-                path.reason = f"{outcome.reason}; at load factor {target:g}"
+            if pace.last_resort:
+                path.reason = f"{outcome.reason}; at load factor {pace.target:g}"
+                problem.load_factor = pace.factor
                 return
-            cuts += 1
-            step = longest if cuts >= most else 0.25 * step
+            pace.failed()
             continue
         moved = problem.largest_motion(difference(y, path.state))
-        expected = max(rate * (target - factor), _driven(problem, factor, target), NOTABLE / LEAP)
-        leaps = moved > LEAP * expected
-        if leaps and target - factor > SHORTEST * nominal:
+        stable = not options.stability or done.negative == 0 or solver.stable(y)
+        leaps = moved > LEAP * _expected(problem, pace) or (pace.stable and not stable)
+        if leaps and not pace.shortest:
             path.state.copy(y)
-            solver.contact.state, problem.load_factor = before, factor
-            step = longest = 0.25 * (target - factor)
+            solver.contact.state = before
+            pace.leapt()
             continue
-        rate = rate if leaps else moved / (target - factor)
-        factor, cuts, longest = target, 0, nominal
-        step = min(2.0 * step, nominal) if done.iterations <= EASY else step
-        if options.stability and (leaps or factor >= 1.0):
-            done = _settle(solver, y, done, options, path)
-        if factor < 1.0:
-            path.stable = path.smallest_eigenvalue = None  # those are the end's
+        if options.stability and (leaps or pace.target == 1.0):
+            done, stable = _settle(solver, y, done, options, path)
         done.way = f"snap by {done.way}" if leaps else done.way
+        pace.done(done.iterations, moved, leaps)
+        pace.stable = stable
         y.copy(path.state)
         path.steps.append(done)
         if on_step:
@@ -90,15 +131,17 @@ def begin(problem: Problem, y: PETSc.Vec) -> None:
     problem.contact.begin(problem.positions(y), problem.load_factor)
 
 
-def _driven(problem: Problem, start: float, end: float) -> float:
-    """How far supports, and obstacles beside the shell, move between two load factors, in sizes of the shell."""
+def _expected(problem: Problem, pace: Pace) -> float:
+    """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or of
+    obstacles beside the shell."""
     assert problem.contact is not None
-    state, size = problem.contact.state, problem.size()
+    start, end, state = pace.factor, pace.target, problem.contact.state
     x = state.reference[problem.own]
     paths = [(end - start) * problem.part.lift[: state.reference.size]]
     paths += [(o.carry(x, start, end) - x).ravel() for o in problem.contact.obstacles]
     farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
-    return problem.comm.allreduce(farthest, op=MPI.MAX) / size
+    driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+    return max(pace.rate * (end - start), driven, NOTABLE / LEAP)
 
 
 def _solve(
@@ -132,15 +175,17 @@ def _solve(
 
 def _settle(
     solver: FrictionalSolver, y: PETSc.Vec, done: LoadStep, options: StaticsOptions, path: Path
-) -> LoadStep:
-    """Tests the end state on the contacts' tangent space; leaves a saddle, which slip may have hidden so far."""
-    path.stable = solver.stable(y)
-    if not path.stable and solver.leave(y, done.tolerance):
-        problem = solver.problem
+) -> tuple[LoadStep, bool]:
+    """Tests a state on the contacts' tangent space; leaves a saddle, which slip may have hidden so far. The step, and
+    whether it is stable, which the path says of its end."""
+    problem, stable, value = solver.problem, solver.stable(y), None
+    if not stable and solver.leave(y, done.tolerance):
         begin(problem, y)
         again, _ = _solve(solver, y, options, path, ways=1)
-        done, path.stable = again or done, solver.stable(y)
-    if options.eigenvalue or not path.stable:
-        scale = 0.0 if path.stable else slow_rate(solver.problem)
-        path.smallest_eigenvalue, _ = smallest_eigenpair(solver.problem, solver.stability_matrix(y), scale)
-    return done
+        done, stable = again or done, solver.stable(y)
+    if problem.load_factor == 1.0:
+        if options.eigenvalue or not stable:
+            scale = 0.0 if stable else slow_rate(problem)
+            value, _ = smallest_eigenpair(problem, solver.stability_matrix(y), scale)
+        path.stable, path.smallest_eigenvalue = stable, value
+    return done, stable
