@@ -24,7 +24,7 @@ class InverseOptions:
 
     friction: bool = True
     contact_tolerance: float = 1e-3
-    tolerance: float = 1e-10
+    tolerance: float = 1e-8
 
 
 @dataclass

@@ -22,6 +22,7 @@ from voile.problem.supports import free_motions
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
+CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and bears nothing
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
 
@@ -175,6 +176,19 @@ class Target:
         if len(self.ground_rows):
             matrix.zeroRowsColumns(self._mine(), 1.0)
 
+    def _rows(self) -> Iterator[tuple[Touch, slice]]:
+        """Each obstacle's contacts and their rows among all."""
+        start = 0
+        for touch in self.touches:
+            yield touch, slice(start, start + len(touch.vertex))
+            start += len(touch.vertex)
+
+    def _bears(self) -> np.ndarray:
+        """(c,) whether a contact carries anything."""
+        size = np.linalg.norm(self.reactions, axis=1)
+        largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
+        return size > TINY * largest
+
     def margins(self) -> tuple[np.ndarray, np.ndarray]:
         """(c,) normal reactions (N) and margins to slip: 1 - |r_T| / (mu r_N), 1 where nothing bears."""
         normal = np.einsum("ci,ci->c", self.reactions, self.cones.normal)
@@ -246,14 +260,9 @@ class Target:
         return self.tangent
 
     def _held(self):
-        firm = FIRM * self.firmness
-        size = np.linalg.norm(self.reactions, axis=1)
-        largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
-        start = 0
-        for touch in self.touches:
-            rows = slice(start, start + len(touch.vertex))
-            start = rows.stop
-            bears = size[rows] > TINY * largest
+        firm, bearing = FIRM * self.firmness, self._bears()
+        for touch, rows in self._rows():
+            bears = bearing[rows]
             sticks = self.cones.friction[rows] > 0.0
             along = touch.normal[:, :, None] * touch.normal[:, None, :]
             pressed = np.einsum("ci,ci->c", self.reactions[rows], touch.normal)
@@ -275,20 +284,22 @@ class Target:
     # ---- for the simulation ----
 
     def obstruct(self) -> None:
-        """Puts the obstacles in the way, each contact at the gap that it has in the target, with its reaction."""
+        """Puts the obstacles in the way: what bears at the gap that it has in the target, with its reaction; what does
+        not where it is, or just clear of it."""
         problem = self.problem
         if not self.obstacles:
             return
         offset = np.full((len(self.obstacles), len(self.x)), self.offset)
-        for touch in self.touches:
-            offset[touch.index, touch.vertex] = touch.gap
+        clearance = CLEARANCE * problem.thickness()
+        for touch, rows in self._rows():
+            bears = self._bears()[rows]
+            clear = np.minimum(self.offset, touch.gap - clearance)
+            offset[touch.index, touch.vertex] = np.where(bears, touch.gap, clear)
         attach(problem, self.obstacles, offset)
         contact = problem.contact
         assert isinstance(contact, Contact)
-        start = 0
-        for touch in self.touches:
-            r = self.reactions[start : start + len(touch.vertex)]
-            start += len(touch.vertex)
+        for touch, rows in self._rows():
+            r = self.reactions[rows]
             normal = np.einsum("ci,ci->c", r, touch.normal)
             contact.state.normal[touch.index][touch.vertex] = normal / touch.steepness
             contact.state.friction[touch.index][touch.vertex] = r - normal[:, None] * touch.normal

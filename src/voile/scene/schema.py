@@ -260,7 +260,7 @@ class Inverse:
     tolerance: float = key(
         Number(above=0, below=1),
         "norm of the residual over the norm of the load, of the simulations that prove the rest shape",
-        default=1e-10,
+        default=1e-8,
     )
 
 
