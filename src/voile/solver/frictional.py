@@ -18,7 +18,7 @@ from voile.contact.state import State
 from voile.errors import InputError
 from voile.problem.anchor import Anchor, difference
 from voile.problem.discrete import Problem
-from voile.problem.scales import slow_rate
+from voile.problem.scales import round_off, slow_rate
 from voile.solver.complementarity import OPTION, Complementarity
 from voile.solver.newton import Newton, negative_pivots
 from voile.solver.semismooth import MOST, Semismooth
@@ -36,6 +36,7 @@ FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 KICKS = 5  # attempts to leave a saddle
+ROUND_OFF = 10.0  # times round-off a norm may be due to it
 GONE = 1.0  # sizes of the shell after which it has slid away
 
 
@@ -102,7 +103,7 @@ class FrictionalSolver:
         if done and self.semismooth.negative:
             self.saddle = y.copy(), self.contact.state.copy()
             return Outcome(False, "semismooth", "the semismooth Newton method ended at a saddle")
-        return Outcome(done, "semismooth", "" if done else self._missed())
+        return Outcome(done, "semismooth", "" if done else self._missed(y))
 
     def _by_complementarity(self, y: PETSc.Vec, wanted: float) -> Outcome:
         """SNESVI, then a step of the semismooth method for the inertia."""
@@ -143,7 +144,7 @@ class FrictionalSolver:
         try:
             for _ in range(updates):
                 if not self._run(self.newton, y, max(wanted, rough), DESCENT):
-                    return Outcome(False, "descent", self._missed())
+                    return Outcome(False, "descent", self._missed(y))
                 contact.adopt(problem.positions(y), problem.load_factor)
                 contact.softness = min(HARDENING * contact.softness, 1.0)
                 settled = self.snes.getIterationNumber() <= 2 or contact.softness == 1.0
@@ -153,7 +154,7 @@ class FrictionalSolver:
         finally:
             contact.softness = 1.0
         return Outcome(
-            False, "descent", f"{updates} updates of the reactions did not converge; {self._missed()}"
+            False, "descent", f"{updates} updates of the reactions did not converge; {self._missed(y)}"
         )
 
     def _finished(self, y: PETSc.Vec, wanted: float) -> bool:
@@ -173,7 +174,7 @@ class FrictionalSolver:
                     rate *= 4.0
                     if rate > LAST_RATE * slow:
                         return Outcome(
-                            False, "pseudo-time", f"no step of pseudo-time converges; {self._missed()}"
+                            False, "pseudo-time", f"no step of pseudo-time converges; {self._missed(y)}"
                         )
                     continue
                 pull, spent = problem.norm(problem.anchor.pull(y)), self.iterations - before
@@ -239,10 +240,15 @@ class FrictionalSolver:
         PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         return snes.getConvergedReason() > 0
 
-    def _missed(self) -> str:
+    def _missed(self, y: PETSc.Vec) -> str:
+        """By how much the last solve, which ended at y, missed its tolerance; and round-off, where it is to blame."""
         names = {v: k for k, v in vars(PETSc.SNES.ConvergedReason).items() if isinstance(v, int)}
         norm, asked = self.snes.getFunctionNorm(), self.snes.getTolerances()[1]
-        return f"norm {norm:.3e} N misses {asked:.3e} N ({names[self.snes.getConvergedReason()].lower()})"
+        noise = max(round_off(self.problem, y))
+        blame = f"; round-off is {noise:.1e} N" if norm < ROUND_OFF * noise else ""
+        return (
+            f"norm {norm:.3e} N misses {asked:.3e} N ({names[self.snes.getConvergedReason()].lower()}){blame}"
+        )
 
     def _slides(self, step: PETSc.Vec) -> str:
         """Which way the shell leaves, on what."""
