@@ -2,12 +2,13 @@
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path as File
 
 import numpy as np
 from mesh_helpers import generator
 
-from voile.contact.obstacles import Box, Cylinder, Obstacle, Plane, Sphere
+from voile.contact.obstacles import Box, Cylinder, Motion, Obstacle, Plane, Sphere
 from voile.problem.contact import attach, contact_fields
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
@@ -82,7 +83,7 @@ class Lifted:
 
 def lifted_strip(cells: int) -> Lifted:
     """Free length l = (24 B delta / (rho g h))^(1/4), lifting force rho g h l / 2 per unit width."""
-    length, width, thickness, young, density, lift = 1.0, 0.02, 1e-3, 1e9, 1000.0, 2e-3
+    length, width, thickness, young, density, lift = 1.0, 2.0 / cells, 1e-3, 1e9, 1000.0, 2e-3
     stiffness, weight = young * thickness**3 / 12, density * GRAVITY * thickness
     free = (24 * stiffness * lift / weight) ** 0.25
     points, triangles = plate(length, width, length / cells)
@@ -236,7 +237,9 @@ class Slip:
     path: Path
     before: float
     after: float
-    lowest: float  # height (m) of the strip's lowest point between tip and clamp just before
+    landed: (
+        float  # lowering over length at which the strip's belly lies on the plane, nan if it does not before
+    )
 
 
 def lowered_strip(friction: float, low: float, cells: int, steps: int) -> Slip:
@@ -259,13 +262,14 @@ def lowered_strip(friction: float, low: float, cells: int, steps: int) -> Slip:
 
     def record(problem, step, y):
         x = problem.positions(y)
-        seen.append((low * step.factor, abs(x[tip, 0].mean()), x[~tip, 2].min()))
+        seen.append((low * step.factor, abs(x[tip, 0].mean()), x[~tip, 2].min() < 1e-9 * length))
 
     floor = Plane(name="floor", friction=friction, point=np.zeros(3), normal=UP)
     path, _ = solve(shell, floor, steps, on_step=record)
     gone = next((k for k, row in enumerate(seen) if row[1] > 0.01 * length), None)
-    before = seen[-1 if gone is None else gone - 1]
-    return Slip(path, before[0], np.nan if gone is None else seen[gone][0], before[2])
+    held_on = seen[:gone]
+    landed = next((row[0] for row in held_on if row[2]), np.nan)
+    return Slip(path, held_on[-1][0], np.nan if gone is None else seen[gone][0], landed)
 
 
 def slips() -> list[dict]:
@@ -280,12 +284,47 @@ BALL = {"name": "ball", "center": np.zeros(3), "radius": 0.2}
 BOX = {"name": "box", "center": np.zeros(3), "sizes": np.array([0.15, 0.15, 0.19])}
 
 
-def drape(name: str, cells: int, friction: float = 0.5, **fabric) -> tuple[Path, Problem, float]:
-    """A square sheet of 0.6 m let down on a sphere or a box from just above it: path, problem, weight (N)."""
+def drape(
+    name: str, cells: int, friction: float = 0.5, depth: float = 0.0, **fabric
+) -> tuple[Path, Problem, float]:
+    """A square sheet of 0.6 m let down on a sphere or a box from just above it, or from `depth` (m) inside: path,
+    problem, weight (N)."""
     on_box = name == "box"
     obstacle = Box(friction=friction, **BOX) if on_box else Sphere(friction=friction, **BALL)
     fabric = {"young": 1e6, "thickness": 2e-3} | fabric
     points, triangles = plate(0.6, 0.6, 0.6 / cells)
-    shell = shell_of(points - [0.3, 0.3, -0.2005], triangles, density=300.0, **fabric)
+    shell = shell_of(points - [0.3, 0.3, depth - 0.2005], triangles, density=300.0, **fabric)
     path, problem = solve(shell, obstacle, offset=1e-2 if on_box else 0.0)
     return path, problem, 300.0 * 0.36 * fabric["thickness"] * GRAVITY
+
+
+def pressed(travel: float, steps: int = 1, friction: float = 0.3, cells: int = 20) -> tuple[Path, Problem]:
+    """A square sheet of 1 m held at two edges; a ball of 0.2 m across comes from below by `travel` (m)."""
+    points, triangles = plate(1.0, 1.0, 1.0 / cells)
+    edges = np.abs(points[:, 0] - 0.5) > 0.5 - 1e-9
+    supports = held(points, (edges, np.zeros(3)))
+    shell = shell_of(points, triangles, young=1e6, thickness=2e-3, density=300.0, **supports)
+    motion = Motion(displacement=travel * UP)
+    ball = Sphere(
+        name="ball", friction=friction, center=np.array([0.5, 0.5, -0.15]), radius=0.1, motion=motion
+    )
+    return solve(shell, ball, steps)
+
+
+def extremes() -> dict:
+    """Hard cases by name: functions that return path and problem first."""
+    cases = {}
+    for name in ("sphere", "box"):
+        cases |= {
+            f"{name}, mu = {friction:g}": partial(drape, name, 14, friction)
+            for friction in (0.0, 1e-3, 1.0, 10.0)
+        }
+        cases |= {
+            f"{name}, E = {young:.0e} Pa": partial(drape, name, 14, young=young) for young in (1e3, 1e11)
+        }
+        cases[f"{name}, thickness 1e-6 of the size"] = partial(drape, name, 14, young=1e9, thickness=8.5e-7)
+        cases[f"{name}, starts 2 % of the size inside"] = partial(drape, name, 14, depth=0.017)
+    for friction in (0.0, 0.3):
+        cases[f"ball, half its length in one step, mu = {friction:g}"] = partial(pressed, 0.1, 1, friction)
+    cases["block on a plane, 625 contacts, mu = 0.9"] = partial(incline, 5.0, 24, 5e-2, 10.0)
+    return cases

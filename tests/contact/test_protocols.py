@@ -13,13 +13,13 @@ from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
 
-@pytest.mark.parametrize("cells", [160, pytest.param(320, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cells", [160, pytest.param(1280, marks=pytest.mark.slow)])
 def test_lifted_strip(cells):
     """The closed form of the free boundary, and the laws to round-off."""
     strip = protocols.lifted_strip(cells)
     assert strip.path.converged and strip.path.stable
     assert strip.force == pytest.approx(strip.exact_force, rel=0.01)
-    assert abs(strip.length - strip.exact_length) < 2 * strip.size
+    assert abs(strip.length - strip.exact_length) < 1.5 * strip.size
     expected = strip.points[:, 0] > strip.length - 1e-9
     assert np.array_equal(strip.touching, expected)  # the expected vertices, no other
     reaction, gap = strip.fields["reaction"][:, 2], strip.fields["gap"]
