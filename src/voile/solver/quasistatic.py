@@ -114,7 +114,7 @@ def follow_contact(
             continue
         if options.stability and (leaps or pace.target == 1.0):
             done, stable = _settle(solver, y, done, options, path)
-        done.way = f"snap by {done.way}" if leaps else done.way
+        done.way = f"snap by {done.way}" if leaps and problem.supported else done.way
         pace.done(done.iterations, moved, leaps)
         pace.stable = stable
         y.copy(path.state)
