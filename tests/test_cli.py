@@ -104,7 +104,7 @@ density = 300.0 | density = 1; rest = "none.obj" | none.obj: no such mesh file
 { box = [[-0.01, -1, -1], [0.01, 1, 1]] } | { nodes = [0] } | fix.0.select: clamp = true needs at least one edge
 gravity = [0.0, 0.0, -9.81] | gravity = [0.0, -9.81] | loads.gravity: [0.0, -9.81] has length 2
 [loads] | [load] | unknown key (did you mean "loads"?)
-[loads] | [contact]; self_contact = true; [loads] | cannot run contact.self_contact = true
+[loads] | [contact]; self_contact = true; offset = 0; [loads] | contact.offset: 0; allowed with self_contact: above 0
 [loads] | [[obstacle]]; shape = "plane"; point = [0, 0, 9]; normal = [0, 0, 1]; [loads] | deep inside plane 0
 [loads] | [[obstacle]]; shape = "sphere"; center = [0, 0, 9]; radius = 0; [loads] | obstacle.0.radius: 0
 [loads] | [[obstacle]]; shape = "plane"; point = [0, 0, -9]; [loads] | the key "normal" is missing

@@ -76,7 +76,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
             "fix.move" if shell.motion.any() else "no support moves",
         ),
         ("contact", bool(model.obstacles), _contact(model)),
-        ("friction", any(o.friction > 0.0 for o in model.obstacles), _friction(model)),
+        ("self-contact", scene.contact.self_contact, _self_contact(scene, model)),
+        ("friction", any(mu > 0.0 for _, mu in _frictions(scene, model)), _friction(scene, model)),
         (
             "mass",
             False,
@@ -86,8 +87,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
     return rows
 
 
-def _solver(model: Model) -> str:
-    if not model.obstacles:
+def _solver(scene: Scene, model: Model) -> str:
+    if not (model.obstacles or scene.contact.self_contact):
         return "Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
     return "semismooth Newton (then augmented Lagrangian, then pseudo-time), MUMPS LDL^T, LU where something slips"
 
@@ -116,10 +117,24 @@ def _obstacles(model: Model) -> list[str]:
     return lines
 
 
-def _friction(model: Model) -> str:
-    if not model.obstacles:
-        return "no [[obstacle]]"
-    return "friction " + ", ".join(f"{o.friction:g} on {o.name}" for o in model.obstacles)
+def _self_contact(scene: Scene, model: Model) -> str:
+    if not scene.contact.self_contact:
+        return "contact.self_contact is false: layers may pass through each other"
+    return (
+        f"mid-surfaces keep {2.0 * model.offset:.4g} m: vertices with triangles, edges with edges; the matrix grows "
+        "where layers touch, and no step carries one through another"
+    )
+
+
+def _frictions(scene: Scene, model: Model) -> list[tuple[str, float]]:
+    """What the shell may touch, with Coulomb's coefficient."""
+    itself = [("itself", scene.contact.self_friction)] if scene.contact.self_contact else []
+    return [(o.name, o.friction) for o in model.obstacles] + itself
+
+
+def _friction(scene: Scene, model: Model) -> str:
+    found = _frictions(scene, model)
+    return "friction " + ", ".join(f"{mu:g} on {name}" for name, mu in found) if found else "no [[obstacle]]"
 
 
 def _repeats_cells(shell: Shell) -> bool:
@@ -148,7 +163,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"file      {model.surface.source}",
         f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
-        f"solver    {_solver(model)}; PETSc options after --",
+        f"solver    {_solver(scene, model)}; PETSc options after --",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
         f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
         *_obstacles(model),

@@ -7,13 +7,20 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
+NO_CONTACT = {
+    "active": 0,
+    "stick": 0,
+    "slip": 0,
+    "max_penetration": 0.0,
+    "friction_error": 0.0,
+    "self_contacts": 0,
+}
 
 
 def run_statics(scene, model, folder: Path, comm, progress: "Progress", began: float) -> str:
     """Solves a statics scene (model: rank 0's) and writes its results to `folder`; the reason why it did not converge,
     or empty."""
-    from voile.problem.contact import attach
+    from voile.problem.contact import attach, shell_layers
     from voile.problem.discrete import Problem
     from voile.results import ResultWriter
     from voile.solver.path import StaticsOptions
@@ -27,7 +34,10 @@ def run_statics(scene, model, folder: Path, comm, progress: "Progress", began: f
     )
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
-    attach(problem, *comm.bcast((model.obstacles, model.offset) if model else None))
+    layers = None
+    if shell is not None and scene.contact.self_contact:
+        layers = shell_layers(shell, model.offset, scene.contact.self_friction)
+    attach(problem, *comm.bcast((model.obstacles, model.offset, layers) if model else None))
     mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
     writing, reached = 0.0, 0
     with ResultWriter(

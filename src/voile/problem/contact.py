@@ -5,45 +5,87 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
+from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
+from voile.errors import InputError
 from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
 
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
-def attach(problem: Problem, obstacles: list[Obstacle], offset: float | np.ndarray) -> None:
+def attach(
+    problem: Problem, obstacles: list[Obstacle], offset: float | np.ndarray, layers: Layers | None = None
+) -> None:
     """Puts obstacles in the way, at a distance of `offset` (m) from the mid-surface, one or (obstacles, local
-    vertices). Nothing if there are none."""
-    if not obstacles:
+    vertices), and with layers the shell in its own. Nothing if there are none."""
+    if not obstacles and layers is None:
         return
     part = problem.part
     unknowns = np.diff(part.matrix.indptr)[: 3 * len(part.vertex)].reshape(-1, 3)
     stiffness = part.fabric[0] * part.fabric[1]
     total = problem.comm.allreduce(np.array([stiffness @ part.weight, part.weight.sum()]))
     scale = float(total[0] / total[1])
-    problem.contact = Contact(
-        obstacles, offset, scale, unknowns.any(axis=1), problem.own, TOUCH * problem.size()
-    )
+    movable = unknowns.any(axis=1)
+    itself = None if layers is None else _on_itself(problem, layers, movable)
+    problem.contact = Contact(obstacles, offset, scale, movable, problem.own, TOUCH * problem.size(), itself)
+
+
+def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
+    """The layers of a sewn shell whose surfaces touch at `offset` (m) from the mid-surface. Vertices nearer along the
+    cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together."""
+    edges, seam = shell.topology.edges, np.column_stack([shell.slave, shell.first, shell.slave, shell.second])
+    links = np.concatenate([edges, seam.reshape(-1, 2)])
+    length = np.linalg.norm(shell.points[edges[:, 1]] - shell.points[edges[:, 0]], axis=1)
+    length = np.concatenate([length, np.zeros(len(links) - len(edges))])
+    barred = near_along(links, length, len(shell.points), np.pi * offset)
+    return Layers(shell.points, shell.triangles, edges, barred, 2.0 * offset, friction)
+
+
+def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItself:
+    """Layers as all ranks see them: each has the positions of all vertices, and the same pairs. Raises InputError where
+    layers start in the same place."""
+    where = layers.coincident()
+    if where is not None:
+        x = ", ".join(f"{c:.4g}" for c in layers.points[where])
+        raise InputError(
+            f"contact.self_contact: layers of the shell start in the same place at vertex {where} ({x}); "
+            "move them apart, or sew them"
+        )
+    part, comm = problem.part, problem.comm
+    own = part.owned_vertices
+    place = np.concatenate(comm.allgather(part.vertex[own]))
+    everything = np.empty_like(place)
+    everything[place] = np.arange(len(place))
+
+    def widen(rows: np.ndarray) -> np.ndarray:
+        return np.concatenate(comm.allgather(rows[own]))[everything]
+
+    mine = np.zeros(len(place), dtype=bool)
+    mine[part.vertex[own]] = True
+    return OnItself(layers, widen, part.vertex, widen(movable), mine)
 
 
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
-    """reaction (local vertices, 3) N on the shell, gap (local vertices,) m to the nearest obstacle, contact
-    (local vertices,): 0 free, 1 stick, 2 slip."""
+    """reaction (local vertices, 3) N on the shell, gap (local vertices,) m to the nearest obstacle or layer, where one
+    is near, contact (local vertices,): 0 free, 1 stick, 2 slip."""
     contact, x, factor = _contact(problem), problem.positions(y), problem.load_factor
-    gaps = [contact.gap(k, x, factor) for k in range(len(contact.obstacles))]
+    found = contact.pairs(x, factor)
+    gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
     state = np.full(len(x), FREE, dtype=np.uint8)
-    for pairs in contact.pairs(x, factor):
+    for pairs in found:
         active = pairs.lam_n > 0.0
         slips = contact.slips(pairs)
-        state[pairs.vertex[active & ~slips]] = np.maximum(state[pairs.vertex[active & ~slips]], STICK)
-        state[pairs.vertex[active & slips]] = SLIP
+        for chosen, name in ((active & ~slips, STICK), (active & slips, SLIP)):
+            touching = contact.touching(pairs, chosen)
+            state[touching] = np.maximum(state[touching], name)
     return {"reaction": contact.force(x, factor, frozen=False), "gap": np.min(gaps, axis=0), "contact": state}
 
 
 def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     """Figures of the contact over all ranks: active, stick, slip (vertices), max_penetration (m), friction_error
-    (mismatch of the laws over the reactions' norm), and of each obstacle name, vertices, force (N), moment about the
-    origin (N m) on the shell and contact area (m^2, of the rest shape)."""
+    (mismatch of the laws over the reactions' norm), self_contacts (pairs that touch), and of each obstacle name,
+    vertices, force (N), moment about the origin (N m) on the shell and contact area (m^2, of the rest shape)."""
     contact, x, factor, comm = _contact(problem), problem.positions(y), problem.load_factor, problem.comm
     fields = contact_fields(problem, y)
     state = fields["contact"][problem.own]
@@ -51,10 +93,13 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     inside = problem.own & contact.movable
     depth = comm.allreduce(float(np.max(-fields["gap"][inside], initial=0.0)), op=MPI.MAX)
     area = _vertex_areas(problem)
-    totals = np.zeros((len(contact.obstacles), 8))
+    totals, touching = np.zeros((len(contact.obstacles), 8)), 0
     for pairs in contact.pairs(x, factor):
         normal, friction = contact.project(pairs)
-        own = problem.own[pairs.vertex] & (normal > 0.0)
+        own = contact.counted(pairs) & (normal > 0.0)
+        if pairs.index == len(contact.obstacles):
+            touching = int(own.sum())
+            continue
         force = (normal[:, None] * pairs.gradient + friction)[own]
         v = pairs.vertex[own]
         totals[pairs.index] = [*force.sum(axis=0), *np.cross(x[v], force).sum(axis=0), area[v].sum(), len(v)]
@@ -67,6 +112,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
         "slip": int(counts[2]),
         "max_penetration": depth,
         "friction_error": float(np.sqrt(mismatch / size)) if size else 0.0,
+        "self_contacts": comm.allreduce(touching),
         "obstacles": [
             {"name": o.name, "vertices": int(t[7]), "force": t[:3], "moment": t[3:6], "area": t[6]}
             for o, t in zip(contact.obstacles, totals, strict=True)

@@ -1,22 +1,22 @@
 """The discrete problem on PETSc's layout: potential, residual and tangent of a distributed shell."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile import _kernels, _petsc
+from voile import _kernels
 from voile.contact.state import Contact
 from voile.problem.anchor import Anchor
 from voile.problem.follower import pressure_energy, pressure_force
+from voile.problem.matrix import Assembly, Blocks
 from voile.problem.moments import EndMoments
 from voile.problem.partition import distribute
 from voile.problem.shell import Shell
 
-Blocks = Iterable[tuple[np.ndarray, np.ndarray]]
 ENERGIES = ("stretching", "bending", "gravity", "pressure", "force")
 
 
@@ -64,7 +64,7 @@ class Problem:
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._length = self._measure()
         self._make_vectors()
-        self._scatter: _kernels.Scatter
+        self._assembly = Assembly(part, self.directors, comm)
 
     def _make_kernel(self, start: np.ndarray) -> _kernels.Elastic:
         """The elastic model with displacements that count from `start` (local vertices, 3)."""
@@ -128,36 +128,7 @@ class Problem:
 
     def create_matrix(self) -> PETSc.Mat:
         """A matrix with the tangent's pattern; its values are written in place by `tangent`."""
-        part = self.part
-        self._scatter = _kernels.Scatter(
-            self.kernel,
-            self.directors,
-            part.owned,
-            part.matrix.indptr.astype(np.int32),
-            part.matrix.indices.astype(np.int32),
-            part.matrix.data,
-        )
-        rank = np.concatenate([part.first_global + np.arange(part.owned), part.ghost_global]).astype(np.int64)
-        start, column = self._scatter.pattern(rank)
-        size = (part.owned, self.unknowns)
-        matrix = PETSc.Mat().create(comm=self.comm)
-        matrix.setSizes((size, size))
-        matrix.setType(PETSc.Mat.Type.AIJ)
-        matrix.setPreallocationCSR((start.astype(np.int32), rank[column].astype(np.int32)))
-        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
-        self._bind(matrix)
-        return matrix
-
-    def _bind(self, matrix: PETSc.Mat) -> None:
-        none = np.zeros(0, dtype=np.int32)
-        inside, outside, columns = _petsc.aij_arrays(matrix.handle)
-        if outside is None:
-            self._scatter.bind(*inside, none, none, np.zeros(0), none)
-        else:
-            ghost = np.searchsorted(columns, self.part.ghost_global).astype(np.int32)
-            self._scatter.bind(*inside, *outside, ghost)
-        self._bound = matrix.handle
+        return self._assembly.create(self.kernel)
 
     def local(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
@@ -259,36 +230,35 @@ class Problem:
     ) -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). contact: what contact
-        adds at vertices, (indices, (p, 3, 3) N/m) each, in place of the potential's own."""
-        if matrix.handle != self._bound:
-            self._bind(matrix)
+        adds, in place of the potential's own."""
         u, phi = self._shape(y)
+        if self.contact and contact is None:
+            contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
+        contact = list(contact or ())
+        self._assembly.prepare(matrix, self.kernel, contact)
         if self.moments:
             self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
             self.moments.linearise(self._positions(u))
         with self._timed():
-            self.kernel.hessian(u, phi, kind, self._scatter)
+            self.kernel.hessian(u, phi, kind, self._assembly.scatter)
             if self.pressure and kind != "safe":
                 _kernels.add_pressure_hessian(
-                    self._scatter, self.part.corners, self._positions(u), -self.load_factor * self.pressure
+                    self._assembly.scatter,
+                    self.part.corners,
+                    self._positions(u),
+                    -self.load_factor * self.pressure,
                 )
-            if self.contact and contact is None:
-                contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
-            self._add(contact or ())
+            self._assembly.add(matrix, contact)
             matrix.assemble()
         if self.anchor:
             self.anchor.add_to(matrix)
 
     def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
-        self._bind(matrix)
-        self._scatter.assemble(blocks)
-        self._add(at_vertices)
+        self._assembly.prepare(matrix, self.kernel, ())
+        self._assembly.scatter.assemble(blocks)
+        self._assembly.add(matrix, at_vertices)
         matrix.assemble()
-
-    def _add(self, at_vertices: Blocks) -> None:
-        for vertices, blocks in at_vertices:
-            self._scatter.add_vertices(vertices.astype(np.int32), np.ascontiguousarray(blocks))
 
     def gather_triangles(self, forces: np.ndarray) -> PETSc.Vec:
         """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)
@@ -338,6 +308,14 @@ class Problem:
     def norm(self, own: np.ndarray) -> float:
         """Norm of a vector of unknowns given by each rank's own."""
         return float(np.sqrt(self.comm.allreduce(float(own @ own))))
+
+    def free_share(self, y: PETSc.Vec, direction: PETSc.Vec) -> float:
+        """Share of a step along a direction of the unknowns on which no layer of the shell passes through another, at
+        most 1."""
+        if not (self.contact and self.contact.itself):
+            return 1.0
+        x = self.positions(y)
+        return self.comm.allreduce(self.contact.free_share(x, x + self.motion(direction)), op=MPI.MIN)
 
     def everywhere(self, here: bool) -> bool:
         """Whether something holds on all ranks."""

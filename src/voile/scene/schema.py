@@ -214,7 +214,18 @@ class Contact:
         "distance from the mid-surface to the surface that touches; default: half the thickness",
         default=None,
     )
-    self_contact: bool = key(Boolean(), "contact of the shell with itself", default=False)
+    self_contact: bool = key(
+        Boolean(),
+        "contact of the shell with itself: layers keep twice the offset between their mid-surfaces",
+        default=False,
+    )
+    self_friction: float = key(
+        Number(least=0), "Coulomb's coefficient of friction of the shell on itself", default=0.0
+    )
+
+    def check(self, given: set[str]) -> None:
+        if self.self_contact and self.offset == 0.0:
+            raise Rejected("0; allowed with self_contact: above 0, to keep layers apart", ("offset",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,6 +331,6 @@ def unsupported(scene: Scene) -> list[str]:
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
         f"inverse.developable = {scene.inverse.developable!r}": inverse and bool(scene.inverse.developable),
         f"inverse.estimate = {list(scene.inverse.estimate)}": inverse and bool(scene.inverse.estimate),
-        "contact.self_contact = true": scene.contact.self_contact,
+        "contact.self_contact = true with task = inverse": inverse and scene.contact.self_contact,
     }
     return [what for what, used in asked.items() if used]

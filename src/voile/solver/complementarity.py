@@ -64,7 +64,7 @@ class Complementarity:
         """Unknowns and reactions of z become the present ones, on all ranks that see a candidate's vertex."""
         problem, state = self.problem, self.contact.state
         self.home.array[:] = z.array_r[: self.split]
-        state.friction[:] = 0.0
+        state.friction = [np.zeros_like(a) for a in state.friction]
         place = np.full(
             int(problem.comm.allreduce(int(problem.part.vertex.max(initial=-1)), op=MPI.MAX)) + 1, -1
         )
@@ -73,7 +73,7 @@ class Complementarity:
         for k, v in enumerate(self.pairs):
             mine = (problem.part.vertex[v], z.array_r[at : at + len(v)])
             at += len(v)
-            state.normal[k] = 0.0
+            state.normal[k] = np.zeros_like(state.normal[k])
             for vertex, reaction in problem.comm.allgather(mine):
                 here = place[vertex]
                 state.normal[k][here[here >= 0]] = reaction[here >= 0]

@@ -107,9 +107,10 @@ class FrictionalSolver:
 
     def _by_complementarity(self, y: PETSc.Vec, wanted: float) -> Outcome:
         """SNESVI, then a step of the semismooth method for the inertia."""
-        if any(o.friction > 0.0 for o in self.contact.obstacles):
+        if self.contact.itself or any(friction > 0.0 for _, friction in self.contact.frictions):
             raise InputError(
-                f"-{OPTION}: SNESVI solves frictionless contact; allowed: friction = 0 on all obstacles"
+                f"-{OPTION}: SNESVI solves frictionless contact with obstacles; allowed: friction = 0 on all, "
+                "contact.self_contact = false"
             )
         snes = Complementarity(self.problem, self.contact, self.snes.getJacobian()[0], y).solve(wanted)
         self.iterations += snes.getIterationNumber()
@@ -127,7 +128,9 @@ class FrictionalSolver:
         _, mode = smallest_eigenpair(self.problem, self.stability_matrix(y), slow_rate(self.problem))
         outcome = Outcome(False, "descent", "no way off the saddle")
         for kick in range(KICKS):
-            y.waxpy(self.perturbation * 4.0**kick, mode, saddle)
+            step = mode.copy()
+            step.scale(self.perturbation * 4.0**kick)
+            y.waxpy(self.problem.free_share(saddle, step), step, saddle)
             self.contact.state = state.copy()
             outcome = self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0), y, wanted)
             if outcome.converged:
@@ -255,7 +258,7 @@ class FrictionalSolver:
         problem = self.problem
         mean = problem.mean_motion(step)
         way = mean / max(float(np.linalg.norm(mean)), 1e-300)
-        bodies = ", ".join(f"{o.name} (friction {o.friction:g})" for o in self.contact.obstacles)
+        bodies = ", ".join(f"{name} (friction {mu:g})" for name, mu in self.contact.frictions)
         return (
             f"the shell slides or falls: no equilibrium within its own size; it moves along "
             f"({way[0]:.3f}, {way[1]:.3f}, {way[2]:.3f}) past {bodies}"

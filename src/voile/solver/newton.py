@@ -187,7 +187,7 @@ class Newton:
             self._apply_inverse(snes, residual, direction)
             if not np.isfinite(direction.norm()):
                 break
-            self._limit(direction)
+            self._limit(y, direction)
             self.problem.predict(y, direction)
             y.axpy(1.0, direction)
             snes.computeFunction(y, residual)
@@ -219,7 +219,7 @@ class Newton:
         y.copy(there)
         best = energy
         for _ in range(LEAP):
-            self._limit(step)
+            self._limit(there, step)
             self.problem.predict(there, step)
             there.axpy(1.0, step)
             new = self._energy(there)
@@ -246,11 +246,13 @@ class Newton:
             self.stalled = norm / NEAR < noise < FAR * norm
         return self.stalled
 
-    def _limit(self, direction: PETSc.Vec) -> None:
-        """Shortens a step that would move or turn something beyond what a linearisation can mean."""
+    def _limit(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
+        """Shortens a step from y that would move or turn something beyond what a linearisation can mean, or carry a
+        layer of the shell through another."""
         largest = self.problem.largest_motion(direction)
         if largest > REACH:
             direction.scale(REACH / largest)
+        direction.scale(self.problem.free_share(y, direction))
 
     def _test(self, snes, it, y, direction, norm):
         if not np.isfinite(norm):
@@ -340,7 +342,7 @@ class Newton:
     def _search(self, y, direction, energy, norm, slope, trial, trial_residual) -> tuple[float, float]:
         """Backtracks from the full step; (0, energy) if no length is acceptable."""
         problem = self.problem
-        length = 1.0
+        length = problem.free_share(y, direction)
         noise = ENERGY_NOISE * abs(energy)
         while length > SHORTEST:
             trial.waxpy(length, direction, y)

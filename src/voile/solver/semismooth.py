@@ -82,6 +82,9 @@ class Semismooth:
                 return
             share = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
             direction.scale(share)
+            through = problem.free_share(y, direction)
+            direction.scale(through)
+            share *= through
             problem.predict(y, direction)
             y.axpy(1.0, direction)
             linear.reactions(share)

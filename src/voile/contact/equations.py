@@ -1,0 +1,145 @@
+"""The semismooth Newton equations of Signorini's and Coulomb's laws for the reactions of all contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voile.contact.pairs import Pairs, outer, times, within
+
+if TYPE_CHECKING:
+    from voile.contact.state import Contact
+
+
+class Equations:
+    """Reactions f = a - D dx of the pairs with one partner for a step dx of their vertices, with constraints (gap and,
+    for those that stick, slip) kept by a firm stiffness and corrected by `advance`."""
+
+    def __init__(self, contact: Contact, p: Pairs):
+        self.p, self.mu = p, p.friction
+        s, rho = contact.state, contact.rho
+        self.firm = contact.firm
+        fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
+        self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
+        self.normal = s.normal[p.index][p.row].copy()
+        self.friction = within(p.unit, s.friction[p.index][p.row])
+        size = np.maximum(np.linalg.norm(p.lam_t, axis=1), 1e-300)
+        bound = self.mu * p.steepness * np.maximum(p.lam_n, 0.0)
+        self.stick = self.active & (fresh | (size <= bound)) & (self.mu > 0.0)
+        self.slips = self.active & ~self.stick
+        along = p.lam_t / size[:, None]
+        self.along = (self.mu * p.steepness)[:, None] * along  # friction per lam_n
+        self.plane = np.eye(3) - outer(p.unit, p.unit)
+        self.sideways = self.plane - outer(along, along)
+        share = np.where(self.slips & (self.mu > 0.0), np.minimum(bound / size, 1.0 - 1e-5), 0.0)
+        self.turning = rho * share / (1.0 - share)  # N/m: friction's direction follows the slip's
+        self.pressed = np.maximum(p.lam_n, 0.0)
+
+    @property
+    def symmetric(self) -> bool:
+        return self.mu == 0.0 or not self.slips.any()
+
+    def spread(self, total: np.ndarray) -> None:
+        """Adds a, the reactions without a step, to the vertices' forces (n, 3), N."""
+        p = self.p
+        normal = np.where(self.active, self.normal - self.firm * p.gap, 0.0)
+        stuck = self.friction - self.firm * p.slip
+        moved = normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, p.slip)
+        p.spread(normal, self._chosen(stuck, moved), total)
+
+    def blocks(self) -> np.ndarray:
+        """(p, 3s, 3s) D, N/m."""
+        p = self.p
+        moved = self.firm * outer(p.gradient + self.along, p.gradient)
+        moved += self.turning[:, None, None] * self.sideways
+        return self._over_vertices(moved) + self._turned()
+
+    def _turned(self) -> np.ndarray:
+        """(p, 3s, 3s) what slips: its tangent plane, and with it friction, follows the normal."""
+        p, g = self.p, self.p.geometry
+        count, s = g.weight.shape
+        curvature = np.where(g.weight[:, :, None, None] > 0.0, g.curvature.reshape(count, s, 3, 3 * s), 0.0)
+        normal = curvature.sum(
+            axis=1
+        )  # on one side the weights sum to 1, whose gradients are the gap's there
+        size = np.where(self.slips, self.pressed / p.steepness, 0.0)
+        turned = np.einsum("p,pi,pij->pj", size, self.along, normal)
+        return np.einsum("ps,pi,pj->psij", g.weight, p.unit, turned).reshape(g.curvature.shape)
+
+    def held(self) -> np.ndarray:
+        """(p, 3s, 3s) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
+        p = self.p
+        moved = self.firm * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
+        return self._over_vertices(moved)
+
+    def _over_vertices(self, moved: np.ndarray) -> np.ndarray:
+        """Blocks of what sticks, slips (`moved`, (p, 3, 3)) or is open, with the gap's curvature."""
+        p = self.p
+        stuck = self.firm * (outer(p.gradient, p.gradient) + self.plane)
+        which = np.where(self.stick[:, None, None], stuck, moved)
+        block = np.where(self.active[:, None, None], which, 0.0)
+        curved = np.where(self.active, self.pressed, 0.0)
+        return p.over_vertices(block, p.geometry.weight) - curved[:, None, None] * p.curvature
+
+    def _chosen(self, stuck: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """(p, 3) friction of what sticks and slips; none where open."""
+        return np.where(self.stick[:, None], stuck, np.where(self.slips[:, None], moved, 0.0))
+
+    def advance(self, dx: np.ndarray) -> None:
+        """Takes the firm stiffness's share of the reactions after the step dx (n, 3) into the multipliers."""
+        p = self.p
+        opening, relative = p.motion(dx)
+        slid = p.slip + within(p.unit, relative)
+        self.normal = np.where(self.active, self.normal - self.firm * (p.gap + opening), 0.0)
+        turned = self.normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, slid)
+        self.friction = self._chosen(self.friction - self.firm * slid, turned)
+
+
+@dataclass
+class Linearised:
+    """Equations of all pairs that may carry a reaction."""
+
+    contact: Contact
+    parts: list[Equations]
+
+    @property
+    def symmetric(self) -> bool:
+        return all(part.symmetric for part in self.parts)
+
+    def states(self) -> list[tuple[bytes, ...]]:
+        """Which pairs are active and stick, to recognise a cycle."""
+        return [(e.p.row[e.active].tobytes(), e.p.row[e.stick].tobytes()) for e in self.parts]
+
+    def force(self) -> np.ndarray:
+        """(n, 3) reactions without a step, N."""
+        total = np.zeros((len(self.contact.movable), 3))
+        for e in self.parts:
+            self.contact.collect(e.p, e.spread, total)
+        return total
+
+    def blocks(self):
+        """Their derivative by the step, per partner (stencils, blocks N/m) as of `Contact.blocks`."""
+        for e in self.parts:
+            yield e.p.stencil, e.blocks()
+
+    def held(self):
+        """What the constraints add to the tangent that decides stability, as `blocks`."""
+        for e in self.parts:
+            yield e.p.stencil, e.held()
+
+    def advance(self, dx: np.ndarray) -> None:
+        """Corrects the multipliers after the step dx (n, 3)."""
+        for e in self.parts:
+            e.advance(self.contact.partners[e.p.index].widen(dx))
+
+    def reactions(self, share: float) -> None:
+        """The present reactions move by a share (0 to 1) of the way to those of the step."""
+        s = self.contact.state
+        normal = [np.zeros_like(a) for a in s.normal]
+        friction = [np.zeros_like(a) for a in s.friction]
+        for e in self.parts:
+            normal[e.p.index][e.p.row], friction[e.p.index][e.p.row] = e.normal, e.friction
+        s.normal = [old + share * (new - old) for old, new in zip(s.normal, normal, strict=True)]
+        s.friction = [old + share * (new - old) for old, new in zip(s.friction, friction, strict=True)]

@@ -1,0 +1,99 @@
+"""Contacts that may carry a reaction, whatever the shell touches, and the algebra of their rows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FREE, STICK, SLIP = 0, 1, 2
+FIRM = 1e5  # times rho: stiffness by which the equations eliminate the reactions; refinement leaves no trace of it
+
+
+@dataclass
+class Geometry:
+    """Of p contacts: gap (m), its gradient by the relative position (p, 3) (along the normal, of length 1 where
+    distances are exact), and its Hessian (p, 3s, 3s) 1/m over the s vertices of each contact; those `vertex` (p, s) and
+    their weights (p, s) in the relative position: 1 on an obstacle, which has one vertex."""
+
+    gap: np.ndarray
+    gradient: np.ndarray
+    curvature: np.ndarray
+    vertex: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass
+class Pairs:
+    """Contacts of the shell with one partner (obstacle or itself; p of them), `row` their places in its part of the
+    state; the gap's Geometry; the unit normal, the gradient's length, and the trial reaction: lam_n along the gradient,
+    lam_t (p, 3) N in the tangent plane; slip (p, 3) m, tangential since the start of the step; grip (p, s) the
+    vertices' weights in slip and friction: those of the gap but where the potential freezes them."""
+
+    index: int
+    friction: float
+    row: np.ndarray
+    geometry: Geometry
+    unit: np.ndarray
+    steepness: np.ndarray
+    lam_n: np.ndarray
+    lam_t: np.ndarray
+    slip: np.ndarray
+    grip: np.ndarray
+
+    @property
+    def gap(self) -> np.ndarray:
+        return self.geometry.gap
+
+    @property
+    def gradient(self) -> np.ndarray:
+        return self.geometry.gradient
+
+    @property
+    def curvature(self) -> np.ndarray:
+        return self.geometry.curvature
+
+    @property
+    def vertex(self) -> np.ndarray:
+        """(p,) the vertex itself; of a contact of several, the first."""
+        return self.geometry.vertex[:, 0]
+
+    @property
+    def stencil(self) -> np.ndarray:
+        """The vertices that the reactions act on: (p,) local ones on an obstacle, else (p, s) of all vertices."""
+        return self.vertex if self.geometry.vertex.shape[1] == 1 else self.geometry.vertex
+
+    def spread(self, normal: np.ndarray, tangential: np.ndarray, total: np.ndarray) -> None:
+        """Adds reactions, normal (p,) along the gradient and tangential (p, 3), to the vertices' forces (n, 3)."""
+        g = self.geometry
+        force = (g.weight * normal[:, None])[:, :, None] * g.gradient[:, None]
+        np.add.at(total, g.vertex, force + self.grip[:, :, None] * tangential[:, None])
+
+    def motion(self, dx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of displacements (n, 3): the gap's change (p,) and the relative motion (p, 3), to first order."""
+        g = self.geometry
+        relative = np.einsum("ps,psi->pi", g.weight, dx[g.vertex])
+        return dot(g.gradient, relative), np.einsum("ps,psi->pi", self.grip, dx[g.vertex])
+
+    def over_vertices(self, block: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """(p, 3s, 3s) what blocks (p, 3, 3) of the relative position are over the vertices."""
+        p, s = weight.shape
+        return np.einsum("ps,pt,pij->psitj", weight, weight, block).reshape(p, 3 * s, 3 * s)
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(p,) scalar products of rows."""
+    return np.einsum("pi,pi->p", a, b)
+
+
+def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(p, 3, 3) products a b^T of rows."""
+    return a[:, :, None] * b[:, None, :]
+
+
+def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(p, 3) products of matrices (p, 3, 3) and rows (p, 3)."""
+    return np.einsum("pij,pj->pi", a, b)
+
+
+def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(p, 3) parts of rows in the planes of unit normals."""
+    return v - dot(normal, v)[:, None] * normal

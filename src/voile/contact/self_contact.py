@@ -1,0 +1,238 @@
+"""Contact of a shell with itself: a vertex with a triangle, an edge with an edge, two thicknesses of cloth touching.
+
+Which pairs come near is asked of ipctk's broad phase. No step may carry one layer through another (`free_share`,
+continuous collision detection), so the distance needs no sign: each layer stays on the side where it started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import ipctk
+import numpy as np
+
+from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.pairs import Geometry
+
+if TYPE_CHECKING:
+    from voile.contact.state import State
+
+BAND = 1.0  # thicknesses beyond contact within which pairs are kept: they stay valid for half of it of motion
+SAME = 1e-9  # thicknesses: layers nearer than this are in the same place
+ACROSS = ((0, 1), (0, 2), (0, 3)), ((0, 2), (0, 3), (1, 2), (1, 3))  # a stencil's two sides: faces, edges
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Pairs that may touch near the positions home (n, 3): vertex (c, 4), the first `faces` of them a vertex and a
+    triangle, then edges and edges; code (c,) ascending, what a pair is known by."""
+
+    code: np.ndarray
+    vertex: np.ndarray
+    faces: int
+    home: np.ndarray
+
+
+@dataclass
+class Layers:
+    """All n vertices of a shell as layers that keep `thickness` (m) between their mid-surfaces.
+
+    points (n, 3) m; triangles (m, 3); edges (e, 2); barred (b, 2): vertices too near along the cloth to touch;
+    friction: Coulomb's coefficient.
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+    barred: np.ndarray
+    thickness: float
+    friction: float
+
+    def __post_init__(self) -> None:
+        ipctk.set_num_threads(1)
+        self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
+        self.edges = np.ascontiguousarray(self.edges, dtype=np.int32)
+        self._barred = self._pair_code(*self.barred.T)
+        self._split = len(self.triangles) * len(self.points)  # codes from here on are of edges
+        self._mesh = ipctk.CollisionMesh(self.points, self.edges, self.triangles)
+
+    def __reduce__(self):  # ipctk's mesh is not sent to other ranks
+        return Layers, tuple(getattr(self, f.name) for f in fields(self))
+
+    def find(self, x: np.ndarray, kept: np.ndarray) -> Candidates:
+        """Candidates at positions x (n, 3), with those of the codes kept (k,) in any case."""
+        found = ipctk.Candidates()
+        found.build(self._mesh, x, 0.5 * (1.0 + BAND) * self.thickness)
+        code = np.union1d(self._codes(found), kept)
+        return Candidates(code, self._vertices(code), self._faces(code), x.copy())
+
+    def free_share(self, x: np.ndarray, moved: np.ndarray) -> float:
+        """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1."""
+        swept = ipctk.Candidates()
+        swept.build(self._mesh, x, moved, 0.0)
+        code = self._codes(swept)
+        if not len(code):
+            return 1.0
+        n, e, split = len(self.points), len(self.edges), self._faces(code)
+        swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in code[:split].tolist()]
+        edges = (code[split:] - self._split).tolist()
+        swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
+        return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
+
+    def coincident(self) -> int | None:
+        """A vertex of two layers that start in the same place, or None."""
+        here = self.find(self.points, np.zeros(0, dtype=np.int64))
+        distance = closest(here, np.arange(len(here.code)), self.points).distance
+        worst = int(np.argmin(distance)) if len(distance) else 0
+        if not len(distance) or distance[worst] > SAME * self.thickness:
+            return None
+        return int(here.vertex[worst, 0])
+
+    def _codes(self, found: ipctk.Candidates) -> np.ndarray:
+        """Ascending codes of what ipctk found and is not barred."""
+        n, e = len(self.points), len(self.edges)
+        faces = [c.face_id * n + c.vertex_id for c in found.fv_candidates]
+        pairs = [(c.edge0_id, c.edge1_id) for c in found.ee_candidates]
+        edges = [self._split + min(pair) * e + max(pair) for pair in pairs]
+        code = np.sort(np.array(faces + edges, dtype=np.int64))
+        vertex, split = self._vertices(code), self._faces(code)
+        barred = np.zeros(len(code), dtype=bool)
+        for part, sides in zip((slice(split), slice(split, None)), ACROSS, strict=True):
+            for i, j in sides:
+                barred[part] |= np.isin(self._pair_code(vertex[part, i], vertex[part, j]), self._barred)
+        return code[~barred]
+
+    def _pair_code(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)
+
+    def _faces(self, code: np.ndarray) -> int:
+        return int(np.searchsorted(code, self._split))
+
+    def _vertices(self, code: np.ndarray) -> np.ndarray:
+        """(c, 4) of candidates by ascending codes."""
+        n, e, split = len(self.points), len(self.edges), self._faces(code)
+        face, edge = code[:split], code[split:] - self._split
+        first = np.column_stack([face % n, self.triangles[face // n]])
+        return np.concatenate([first, np.column_stack([self.edges[edge // e], self.edges[edge % e]])])
+
+
+@dataclass
+class OnItself:
+    """A shell's contacts with itself. widen: positions (n, 3) of all vertices from this rank's local ones; here (local
+    vertices,): those among all; free (n,): vertices with unknowns; own (n,): a pair counts where its first vertex is
+    its rank's own."""
+
+    layers: Layers
+    widen: Callable[[np.ndarray], np.ndarray]
+    here: np.ndarray
+    free: np.ndarray
+    own: np.ndarray
+
+    @property
+    def friction(self) -> float:
+        return self.layers.friction
+
+    def narrow(self, forces: np.ndarray) -> np.ndarray:
+        """(local vertices, 3) of the forces on all vertices (n, 3)."""
+        return forces[self.here]
+
+    def renewed(self, x: np.ndarray, state: State, k: int) -> State:
+        """The state, in which this partner's part is k, with the candidates at positions x (n, 3)."""
+        old = state.candidates
+        apart = np.linalg.norm(x - old.home, axis=1).max() if len(old.home) else np.inf
+        if apart < 0.5 * BAND * self.layers.thickness:
+            return state
+        carry = (state.normal[k] != 0.0) | (state.bound[k] != 0.0)
+        fresh = self.layers.find(x, old.code[carry])
+        there = np.flatnonzero(np.isin(fresh.code, old.code))
+        back = np.searchsorted(old.code, fresh.code[there])
+        renewed = state.copy()
+        renewed.candidates = fresh
+        for part in (renewed.normal, renewed.friction, renewed.bound, renewed.plane, renewed.grip):
+            rows = np.zeros((len(fresh.code), *part[k].shape[1:]))
+            rows[there] = part[k][back]
+            part[k] = rows
+        return renewed
+
+    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(c,) m; infinite for edges that are not closest inside both."""
+        return (
+            closest(state.candidates, np.arange(len(state.candidates.code)), x).distance
+            - self.layers.thickness
+        )
+
+    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
+        """That of some contacts, whose gaps are finite."""
+        vertex = state.candidates.vertex[rows]
+        c = closest(state.candidates, rows, x)
+        normal, curvature = derivatives(c, x[vertex])
+        return Geometry(c.distance - self.layers.thickness, normal, curvature, vertex, c.weight)
+
+    def moved(
+        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
+    ) -> np.ndarray:
+        """(p, 3) relative motion of some contacts since the start of the step (m)."""
+        vertex = state.candidates.vertex[rows]
+        return np.einsum("ps,psi->pi", grip, x[vertex] - state.layers[vertex])
+
+    def movable(self, state: State) -> np.ndarray:
+        """(c,) marks the contacts that have unknowns."""
+        return self.free[state.candidates.vertex].any(axis=1)
+
+    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
+        """(p,) marks the contacts that count on this rank."""
+        return self.own[state.candidates.vertex[rows, 0]]
+
+    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
+        gap = self.gaps(x, factor, state)
+        least = np.full(len(self.free), BAND * self.layers.thickness)
+        np.minimum.at(least, state.candidates.vertex, gap[:, None])
+        return least[self.here]
+
+    def touching(self, vertex: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Local vertices of contacts that carry a share of them."""
+        marked = np.zeros(len(self.free), dtype=bool)
+        marked[vertex[weight != 0.0]] = True
+        return np.flatnonzero(marked[self.here])
+
+
+def closest(candidates: Candidates, rows: np.ndarray, x: np.ndarray) -> Closest:
+    """Of candidates by ascending rows, at positions x (n, 3) of all vertices."""
+    split = int(np.searchsorted(rows, candidates.faces))
+    corner = x[candidates.vertex[rows]]
+    parts = closest_to_triangle(corner[:split]), closest_of_edges(corner[split:])
+    return Closest(
+        np.concatenate([part.weight for part in parts]),
+        np.concatenate([part.along for part in parts]),
+        np.concatenate([part.distance for part in parts]),
+    )
+
+
+def near_along(edges: np.ndarray, length: np.ndarray, n: int, limit: float) -> np.ndarray:
+    """(b, 2) pairs of n vertices joined by a path of edges (e, 2) of lengths (e,) m no longer than limit (m)."""
+    short = length <= limit
+    link = np.concatenate([edges[short], edges[short][:, ::-1]]).astype(np.int64)
+    link, cost = _shortest(link, np.tile(length[short], 2), n)
+    start = np.searchsorted(link[:, 0], np.arange(n + 1))
+    pair, reach, count = link, cost, -1
+    while count != len(pair):  # one edge more at a time
+        count = len(pair)
+        fan = start[pair[:, 1] + 1] - start[pair[:, 1]]
+        first = np.repeat(start[pair[:, 1]] - (np.cumsum(fan) - fan), fan) + np.arange(fan.sum())
+        longer = np.repeat(reach, fan) + cost[first]
+        fits = longer <= limit
+        on = np.column_stack([np.repeat(pair[:, 0], fan), link[first, 1]])[fits]
+        pair, reach = _shortest(np.concatenate([pair, on]), np.concatenate([reach, longer[fits]]), n)
+    return pair[pair[:, 0] < pair[:, 1]]
+
+
+def _shortest(pair: np.ndarray, cost: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each pair once, ascending, with its least cost; no vertex with itself."""
+    order = np.lexsort((cost, pair[:, 0] * n + pair[:, 1]))
+    order = order[pair[order, 0] != pair[order, 1]]
+    code = pair[order, 0] * n + pair[order, 1]
+    once = order[np.concatenate([[True], code[1:] != code[:-1]])[: len(code)]]
+    return pair[once], cost[once]

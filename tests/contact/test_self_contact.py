@@ -1,0 +1,234 @@
+"""A shell against itself: distances and their derivatives, the laws' derivatives, stacks with known forces, loops."""
+
+import numpy as np
+import pytest
+from protocols import UP, held, plate, shell_of
+from test_state import taylor_rates
+
+from voile.contact.closest import closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.obstacles import Plane
+from voile.contact.self_contact import Layers, OnItself, near_along
+from voile.contact.state import Contact
+from voile.errors import InputError
+from voile.problem.contact import attach, contact_fields, contact_report, shell_layers
+from voile.problem.discrete import Problem
+from voile.solver.path import StaticsOptions
+from voile.solver.statics import solve_statics
+
+OFFSET, YOUNG, DENSITY, GRAVITY = 5e-4, 1e6, 300.0, 9.81
+
+
+def triangle_place(stencil: np.ndarray) -> np.ndarray:
+    """The point of a triangle nearest to a vertex, by a fine search over its points."""
+    s, t = np.meshgrid(*[np.linspace(0.0, 1.0, 401)] * 2)
+    inside = s + t <= 1.0
+    s, t = s[inside][:, None], t[inside][:, None]
+    points = (1.0 - s - t) * stencil[1] + s * stencil[2] + t * stencil[3]
+    return np.linalg.norm(points - stencil[0], axis=1).min()
+
+
+def edge_place(stencil: np.ndarray) -> np.ndarray:
+    s = np.linspace(0.0, 1.0, 801)[:, None]
+    one, other = ((1.0 - s) * stencil[k] + s * stencil[k + 1] for k in (0, 2))
+    return np.linalg.norm(one[:, None] - other, axis=2).min()
+
+
+@pytest.mark.parametrize(
+    ("measure", "search"), [(closest_to_triangle, triangle_place), (closest_of_edges, edge_place)]
+)
+def test_distance_is_the_least(measure, search):
+    x = np.random.default_rng(1).normal(size=(12, 4, 3))
+    found = measure(x).distance
+    inside = np.isfinite(found)
+    assert inside.sum() > 3
+    assert np.allclose(found[inside], [search(stencil) for stencil in x[inside]], atol=5e-3)
+
+
+@pytest.mark.parametrize("measure", [closest_to_triangle, closest_of_edges])
+def test_gradient_and_curvature_of_a_distance(measure):
+    """By Taylor tests, one per kind of closest point (inside, on an edge, at a corner)."""
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=(400, 4, 3))
+    x = x[np.isfinite(measure(x).distance)]
+    kinds = measure(x).along.any(axis=1).sum(axis=1) + 3 * (measure(x).weight != 0.0).sum(axis=1)
+    assert len(np.unique(kinds)) == (3 if measure is closest_to_triangle else 1)
+    for kind in np.unique(kinds):
+        z, direction = x[kinds == kind][:1], rng.normal(size=(1, 12))
+        c = measure(z)
+        normal, hessian = derivatives(c, z)
+        gradient = (c.weight[:, :, None] * normal[:, None]).reshape(1, 12)
+
+        def distance(y):
+            return measure(y.reshape(1, 4, 3)).distance
+
+        def slope(y):
+            c = measure(y.reshape(1, 4, 3))
+            return (c.weight[:, :, None] * derivatives(c, y.reshape(1, 4, 3))[0][:, None]).reshape(1, 12)
+
+        small = 0.03 * direction
+        y = z.reshape(1, 12)
+        assert min(taylor_rates(distance, np.sum(gradient * small), y, small)) > 1.8
+        assert min(taylor_rates(slope, np.einsum("pij,pj->pi", hessian, small), y, small)) > 1.8
+
+
+def two_sheets() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, triangles and edges of two small wavy sheets that touch in places, 2 OFFSET apart on average."""
+    rng = np.random.default_rng(3)
+    points, triangles = plate(0.01, 0.01, 0.004)
+    other = points * 0.8 + np.array([0.0013, 0.0009, 2.0 * OFFSET])
+    x = np.concatenate([points, other]) + 0.1 * OFFSET * rng.normal(size=(2 * len(points), 3))
+    triangles = np.concatenate([triangles, triangles + len(points)])
+    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    return x, triangles, edges
+
+
+def pressed_sheets(friction: float) -> tuple[Contact, np.ndarray]:
+    """Those sheets with reactions, bounds and planes as after an update, and a place nearby."""
+    x, triangles, edges = two_sheets()
+    everything = np.ones(len(x), dtype=bool)
+    layers = Layers(x, triangles, edges, np.zeros((0, 2), dtype=int), 2.0 * OFFSET, friction)
+    itself = OnItself(layers, lambda rows: rows, np.arange(len(x)), everything, everything)
+    contact = Contact([], 0.0, 50.0, everything, everything, 1e-12, itself)
+    rng = np.random.default_rng(4)
+    contact.begin(x + 0.2 * OFFSET * rng.normal(size=x.shape), 0.0)
+    contact.adopt(x, 1.0)
+    assert len(contact.state.candidates.code) > 50
+    return contact, x + 0.02 * OFFSET * rng.normal(size=x.shape)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_force_and_blocks_derive_from_the_energy(friction):
+    contact, x = pressed_sheets(friction)
+    direction = 1e-2 * OFFSET * np.random.default_rng(5).normal(size=x.shape)
+    force = contact.force(x, 1.0, frozen=True)
+    assert np.abs(force).max() > 0.0 and np.abs(force.sum(axis=0)).max() < 1e-12 * np.abs(force).sum()
+    assert min(taylor_rates(lambda z: contact.energy(z, 1.0), -np.sum(force * direction), x, direction)) > 1.9
+    slope = np.zeros_like(x)
+    for vertex, block in contact.blocks(x, 1.0, convex=False):
+        moved = np.einsum("pij,pj->pi", block, direction[vertex].reshape(len(vertex), 12))
+        np.add.at(slope, vertex, moved.reshape(-1, 4, 3))
+    rates = taylor_rates(lambda z: -contact.force(z, 1.0, frozen=True), slope, x, direction)
+    assert min(rates) > 1.8
+    for _, block in contact.blocks(x, 1.0, convex=True):
+        assert np.linalg.eigvalsh(block).min() >= -1e-10 * contact.rho
+
+
+def test_no_layer_passes_through_another():
+    x, triangles, edges = two_sheets()
+    layers = Layers(x, triangles, edges, np.zeros((0, 2), dtype=int), 2.0 * OFFSET, 0.0)
+    upper = np.arange(len(x)) >= len(x) // 2
+    away, through = x.copy(), x.copy()
+    away[upper, 2] += 0.01
+    through[upper, 2] -= 4.0 * OFFSET
+    assert layers.free_share(x, away) == 1.0
+    share = layers.free_share(x, through)
+    assert 0.1 < share < 0.5  # 2 OFFSET of 4 OFFSET, less the waves
+    assert (x + share * (through - x))[upper, 2].min() > x[~upper, 2].min()
+
+
+def test_what_is_near_along_the_cloth():
+    """A chain of edges 1 m long: within 2.5 m are neighbours and their neighbours."""
+    edges = np.column_stack([np.arange(5), np.arange(1, 6)])
+    pairs = near_along(edges, np.ones(5), 6, 2.5)
+    assert sorted((j - i, i) for i, j in pairs.tolist()) == [
+        *((1, i) for i in range(5)),
+        *((2, i) for i in range(4)),
+    ]
+    assert len(near_along(edges, np.ones(5), 6, 0.5)) == 0
+
+
+def stack(friction: float = 0.0, angle: float = 0.0, size: float = 0.125):
+    """Path, problem and the upper vertices of two patches, one on the other on a plane; gravity inclined by angle."""
+    lower, one = plate(1.0, 1.0, size)
+    upper, two = plate(0.6, 0.6, 0.83 * size)
+    points = np.concatenate([lower + OFFSET * UP, upper + np.array([0.23, 0.22, 3.0 * OFFSET])])
+    above = np.arange(len(points)) >= len(lower)
+    fixed = np.zeros(points.shape, dtype=bool)
+    if angle == 0.0:  # what no friction holds
+        for part in (np.flatnonzero(~above), np.flatnonzero(above)):
+            x, y = points[part, :2].T
+            fixed[part[np.argmin(x + y)], :2] = True
+            fixed[part[np.argmax(x - y)], 1] = True
+    shell = shell_of(
+        points, np.concatenate([one, two + len(lower)]), young=YOUNG, thickness=1e-3, density=DENSITY, fixed=fixed,
+        gravity=GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)]),
+    )  # fmt: skip
+    problem = Problem(shell)
+    floor = Plane(name="floor", friction=3.0 * np.tan(angle), point=np.zeros(3), normal=UP)
+    attach(problem, [floor], OFFSET, shell_layers(shell, OFFSET, friction))
+    return solve_statics(problem, StaticsOptions(load_steps=1)), problem, above
+
+
+def test_a_patch_rests_on_another():
+    path, problem, above = stack()
+    assert path.converged and path.stable
+    weight = GRAVITY * DENSITY * 1e-3 * np.array([1.0, 0.36])
+    force = contact_fields(problem, path.state)["reaction"]
+    assert np.abs(force[above].sum(axis=0) - [0.0, 0.0, weight[1]]).max() < 1e-8 * weight[1]
+    report = contact_report(problem, path.state)
+    assert report["obstacles"][0]["force"][2] == pytest.approx(weight.sum(), rel=1e-8)
+    assert report["self_contacts"] > above.sum() and report["friction_error"] < 1e-8
+    assert report["max_penetration"] < 1e-12
+
+
+@pytest.mark.parametrize("angle", [5.0, 20.0, 45.0])
+def test_a_patch_sticks_to_another_on_an_incline(angle):
+    """At mu = 1.001 tan(angle) nothing drifts."""
+    path, problem, above = stack(1.001 * np.tan(np.radians(angle)), np.radians(angle))
+    assert path.converged
+    report = contact_report(problem, path.state)
+    assert report["stick"] > above.sum() and report["friction_error"] < 1e-8
+    assert np.abs(problem.motion(path.state)).max() < 1e-12
+
+
+def loop(self_contact: bool, friction: float = 0.0, steps: int = 10):
+    """Path, problem, shell and offset of a ring of a strip, held at its ends, its sides pinched into each other."""
+    length, cells, offset = 1.0, 40, 2e-3
+    rest, triangles = plate(length, 0.1, length / cells)
+    at, radius = rest[:, 0] / length, 0.5 * length / np.pi
+    turn = 2.0 * np.pi * (0.97 * at + 0.015)
+    points = np.column_stack([radius * np.sin(turn), rest[:, 1], radius * np.cos(turn)])
+    ends = (at < 1.5 / cells) | (at > 1.0 - 1.5 / cells)
+    sides = [np.abs(at - place) < 0.02 for place in (0.25, 0.75)]
+    pinch = [
+        (side, np.array([np.copysign(1.5 * offset, x) - x, 0.0, 0.0]))
+        for side, x in ((side, points[side, 0].mean()) for side in sides)
+    ]
+    shell = shell_of(
+        points, triangles, rest=rest, young=1e7, thickness=1e-3, density=DENSITY,
+        **held(points, (ends, np.zeros(3)), *pinch),
+    )  # fmt: skip
+    problem = Problem(shell)
+    attach(problem, [], offset, shell_layers(shell, offset, friction) if self_contact else None)
+    return solve_statics(problem, StaticsOptions(load_steps=steps)), problem, shell, offset
+
+
+def test_a_pinched_loop_does_not_pass_through_itself():
+    path, problem, shell, offset = loop(self_contact=True)
+    assert path.converged and path.stable
+    report = contact_report(problem, path.state)
+    assert report["self_contacts"] > 0 and report["friction_error"] < 1e-8
+    least = least_distance(problem.positions(path.state), shell)
+    assert least >= 2.0 * offset - 1e-8 * problem.size()
+    path, problem, shell, _ = loop(self_contact=False)
+    assert least_distance(problem.positions(path.state), shell) < 0.9 * 2.0 * offset
+
+
+def least_distance(x: np.ndarray, shell) -> float:
+    """Of all vertices from all triangles that are not near along the cloth, by brute force."""
+    triangles, near = shell.triangles, 0.1
+    rest = shell.rest_points
+    vertex, triangle = np.meshgrid(np.arange(len(x)), np.arange(len(triangles)), indexing="ij")
+    along = np.abs(rest[vertex, 0] - rest[triangles[triangle], 0].mean(axis=-1))
+    vertex, triangle = vertex[along > near], triangle[along > near]
+    return closest_to_triangle(x[np.column_stack([vertex, triangles[triangle]])]).distance.min()
+
+
+def test_layers_in_the_same_place_are_refused():
+    points, triangles = plate(1.0, 1.0, 0.25)
+    shell = shell_of(
+        np.concatenate([points, points]), np.concatenate([triangles, triangles + len(points)]),
+        young=YOUNG, thickness=1e-3, density=DENSITY,
+    )  # fmt: skip
+    with pytest.raises(InputError, match="start in the same place at vertex"):
+        attach(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
