@@ -80,8 +80,15 @@ def run_inverse(scene, model, folder: Path, comm, progress: "Progress", began: f
     shell = sew(_target_shell(model), comm) if model else sew(None, comm)
     problem = Problem(shell, comm)
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
-    options = InverseOptions(spec.friction, spec.contact_tolerance, spec.tolerance)
-    result = solve_inverse(problem, shell, bodies, offset, options, progress.fraction)
+    options = InverseOptions(
+        spec.friction,
+        spec.contact_tolerance,
+        spec.tolerance,
+        spec.method,
+        spec.regularisation,
+        spec.iterations,
+    )
+    result = solve_inverse(problem, shell, bodies, offset, options, progress.fraction, progress.optimisation)
     start = time.perf_counter()
     _write_rest(scene, model, shell, folder, result, comm)
     report = inverse_report(result)
@@ -91,7 +98,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: "Progress", began: f
     )
     progress.line(
         f"sag {report['sag']:.2e} of the size, {report['sag_disturbed']:.2e} after a disturbance; "
-        f"smallest eigenvalue at the target {report['smallest_eigenvalue_at_target']:.3g} 1/s^2"
+        f"{result.reason}"
     )
     return "" if result.converged else result.reason
 
@@ -264,6 +271,13 @@ class Progress:
         self.line(
             f"load {step.fraction:.4f}  rest shape in {step.iterations} iterations  residual {step.residual:.2e} N  "
             f"{step.negative} negative eigenvalues  {time.perf_counter() - self.began:.1f} s"
+        )
+
+    def optimisation(self, step) -> None:
+        """One iteration of the adjoint method."""
+        self.line(
+            f"adjoint {step.iteration:3d}  objective {step.objective:.3e}  gradient {step.gradient:.2e}  "
+            f"sag {step.sag:.2e}  {time.perf_counter() - self.began:.1f} s"
         )
 
     def step(self, step) -> None:

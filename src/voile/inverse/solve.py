@@ -8,6 +8,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
+from voile.inverse.adjoint import AdjointPath, minimise
+from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.direct import Direct, DirectPath, DirectStep
 from voile.inverse.target import Target
 from voile.inverse.verify import Simulation, simulate
@@ -20,24 +22,31 @@ Progress = Callable[[DirectStep], None]
 @dataclass
 class InverseOptions:
     """friction: reactions in Coulomb's cones, else along the normal; contact_tolerance (m): target vertices nearer
-    than this to an obstacle may carry a reaction; tolerance: residual of simulations over the loads' norm."""
+    than this to an obstacle may carry a reaction; tolerance: residual of simulations over the loads' norm; method:
+    "direct", or "adjoint" to go on where the target itself is not stable, with the weight `regularisation` of the rest
+    shape's change, for `iterations` at most."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
     tolerance: float = 1e-8
+    method: str = "adjoint"
+    regularisation: float = 1e-3
+    iterations: int = 20
 
 
 @dataclass
 class InverseResult:
     """A rest shape (`rest`: rest displacements and director angles on the problem's unknowns) and what it is worth.
 
-    residual (N): of the balance at the target; eigenvalue: smallest omega^2 (1/s^2) of the target, negative where it is
-    unstable, with its `mode`; simulation and disturbed: statics from the target and from beside it.
+    residual (N): of the balance at the target; adjoint: where the target itself is not stable, the search for the
+    nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at the adjoint method's equilibrium,
+    with its `mode`; simulation and disturbed: statics from the target and from beside it.
     """
 
     target: Target
     rest: PETSc.Vec
     direct: DirectPath
+    adjoint: AdjointPath | None
     residual: float
     eigenvalue: float
     mode: PETSc.Vec
@@ -50,20 +59,27 @@ class InverseResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the target is a stable equilibrium of the rest shape under the full load."""
-        return self.direct.converged and self.stable and self.simulation.path.converged
+        """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
+        return (self.direct.converged or self.adjoint is not None) and self.stable and self.simulation.stable
 
     @property
     def reason(self) -> str:
-        if not self.direct.converged:
-            return self.direct.reason
+        if not self.simulation.path.converged:
+            return self.simulation.path.reason
+        if self.direct.converged:
+            return (
+                "target in stable equilibrium"
+                if self.stable
+                else f"the target is unstable: {self._unstable()}"
+            )
+        if self.adjoint is None:
+            return f"{self.direct.reason}; inverse.method = adjoint looks for the nearest stable answer"
         if not self.stable:
-            return f"the target is unstable: smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
-        return (
-            self.simulation.path.reason
-            if not self.simulation.path.converged
-            else "target in stable equilibrium"
-        )
+            return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
+        return f"nearest stable answer found; exactly, {self.direct.reason}"
+
+    def _unstable(self) -> str:
+        return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
 
 
 def solve_inverse(
@@ -73,24 +89,35 @@ def solve_inverse(
     offset: float,
     options: InverseOptions | None = None,
     on_step: Progress | None = None,
+    on_iteration: AdjointProgress | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface. Raises NotConverged where no reactions can hold it."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
     path = Direct(target).follow(on_step)
-    z = path.rest
-    eigenvalue, mode = target.smallest(z)
+    adjoint = None
+    if not path.converged and options.method == "adjoint":
+        target.load(1.0)
+        adjoint = minimise(
+            target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
+        )
+    z = adjoint.rest if adjoint else path.rest
+    simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
+    disturbed = simulate(target, z, options.tolerance, disturbed=True)
+    if adjoint is None:
+        target.load(path.fraction)
+        eigenvalue, mode = target.smallest(z)
+    else:
+        eigenvalue, mode = simulation.eigenvalue, problem.create_vector()
     if path.mode is not None:
         mode = path.mode
-    simulation = simulate(target, z, options.tolerance)
-    disturbed = simulate(target, z, options.tolerance, disturbed=True)
-    return InverseResult(target, z, path, path.residual, eigenvalue, mode, simulation, disturbed)
+    return InverseResult(target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed)
 
 
 def inverse_report(result: InverseResult) -> dict:
     """Figures for the summary: see the keys."""
-    target, direct = result.target, result.direct
+    target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
     low, high = target.rest.area_ratios()
     moved = np.linalg.norm(problem.motion(result.rest), axis=1)
@@ -100,10 +127,12 @@ def inverse_report(result: InverseResult) -> dict:
         "residual_at_target": result.residual,
         "sag": result.simulation.sag,
         "sag_disturbed": result.disturbed.sag,
-        "stable_at_target": result.stable,
-        "smallest_eigenvalue_at_target": result.eigenvalue,
-        "iterations": direct.iterations,
-        "forward_solves": 2,
+        "stable": result.stable,
+        "smallest_eigenvalue": result.eigenvalue,
+        "direct_iterations": direct.iterations,
+        "adjoint_iterations": len(adjoint.steps) - 1 if adjoint else 0,
+        "forward_solves": (adjoint.forward_solves if adjoint else 0) + 2,
+        "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,
         "rest_displacement": problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX),
         "rest_area_ratio": [low, high],
         "reactions": _reactions(target),

@@ -232,19 +232,25 @@ class Target:
 
     def _grounding(self) -> np.ndarray:
         """Global indices of as many unknowns as there are free motions, which held stop them all."""
-        problem, part = self.problem, self.problem.part
-        k, n = self.modes.shape[2], len(part.vertex)
-        rows = part.matrix[: 3 * n]
-        single = np.flatnonzero(np.diff(rows.indptr) == 1)
-        columns = rows.indices[rows.indptr[single]]
-        mine = columns < part.owned
-        values = np.zeros((part.owned, k))
-        values[columns[mine]] = self.modes.reshape(3 * n, k)[single[mine]]
-        values = np.concatenate(problem.comm.allgather(values))
+        k = self.modes.shape[2]
+        values = np.zeros((self.problem.part.owned, k))
+        for mode in range(k):
+            values[:, mode] = self.field_vector(self.modes[:, :, mode]).array_r
+        values = np.concatenate(self.problem.comm.allgather(values))
         if not k:
             return np.zeros(0, dtype=np.int32)
         _, _, order = scipy.linalg.qr(values.T, mode="economic", pivoting=True)
         return np.sort(order[:k]).astype(np.int32)
+
+    def field_vector(self, field: np.ndarray) -> PETSc.Vec:
+        """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
+        part, vector = self.problem.part, self.problem.create_vector()
+        rows = part.matrix[: 3 * len(part.vertex)]
+        single = np.flatnonzero(np.diff(rows.indptr) == 1)
+        columns = rows.indices[rows.indptr[single]]
+        mine = columns < part.owned
+        vector.array[columns[mine]] = field.ravel()[single[mine]]
+        return vector
 
     def _mine(self) -> np.ndarray:
         first = self.problem.part.first_global
@@ -298,6 +304,7 @@ class Target:
         attach(problem, self.obstacles, offset)
         contact = problem.contact
         assert isinstance(contact, Contact)
+        contact.begin(self.x, 1.0)
         for touch, rows in self._rows():
             r = self.reactions[rows]
             normal = np.einsum("ci,ci->c", r, touch.normal)

@@ -21,6 +21,14 @@ class Simulation:
     sag: float
 
     @property
+    def eigenvalue(self) -> float:
+        """Smallest omega^2 (1/s^2) where it was asked for, else a number of the same sign."""
+        value = self.path.smallest_eigenvalue
+        if value is not None:
+            return value
+        return 1.0 if self.stable else -1.0
+
+    @property
     def stable(self) -> bool:
         return self.path.converged and self.path.stable is True
 
@@ -54,11 +62,4 @@ def _disturbance(target: Target) -> PETSc.Vec:
     wave = np.pi * np.array([[3.0, 1.0, 2.0], [1.0, 3.0, 1.0], [2.0, 1.0, 3.0]]) / problem.size()
     field = np.sin(x @ wave.T)
     field[target.cones.vertex] = 0.0
-    part = problem.part
-    vertex_rows = part.matrix[: 3 * len(x)]
-    single = np.flatnonzero(np.diff(vertex_rows.indptr) == 1)
-    columns = vertex_rows.indices[vertex_rows.indptr[single]]
-    mine = columns < part.owned
-    direction = problem.create_vector()
-    direction.array[columns[mine]] = field.ravel()[single[mine]]
-    return direction
+    return target.field_vector(field)

@@ -268,6 +268,12 @@ class Inverse:
     estimate: tuple[str, ...] = key(
         Array(Choice("thickness", "young", "poisson", "density")), "parameters to estimate too", default=()
     )
+    regularisation: float = key(
+        Number(least=0),
+        "adjoint: weight of the rest shape's change beside that of the distance to the target",
+        default=1e-3,
+    )
+    iterations: int = key(Integer(1), "adjoint: of the optimisation at most", default=20)
     tolerance: float = key(
         Number(above=0, below=1),
         "norm of the residual over the norm of the load, of the simulations that prove the rest shape",

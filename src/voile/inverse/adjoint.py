@@ -1,0 +1,289 @@
+"""The rest shape nearest to holding the target where the target itself is not stable: the adjoint method in TAO.
+
+    min_z  |x(z) - x_t|^2_M / (2 M L^2)  +  regularisation |z - z_0|^2_M / (2 M L^2),
+
+x(z) the statics of the program itself, M the lumped mass, L the size, z_0 where the search starts. The gradient takes
+one transposed solve with the tangent K at the equilibrium and the mixed derivative D = dR/dX; the Hessian is that of
+Gauss and Newton, D^T K^-T M K^-1 D, each product a tangent and an adjoint solve with the same factor. Any of TAO's
+types for unconstrained problems can be chosen by -inverse_tao_type; trust regions (ntr) are the default, for equilibria
+are lost where a step goes too far.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.errors import NotConverged
+from voile.inverse.target import Target
+from voile.inverse.verify import sag
+from voile.problem.discrete import Problem
+from voile.solver.frictional import FrictionalSolver
+from voile.solver.newton import negative_pivots
+from voile.solver.path import StaticsOptions, tolerance
+from voile.solver.statics import create_snes, solve_statics
+
+PATIENCE = 200  # Newton iterations of one equilibrium
+FIRST_RADIUS = 2e-3  # of the trust region: root mean square of the rest shape's change over the size
+LAST_RADIUS = 1e-4  # of the first one: no step improves
+SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objective by less than this share
+PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
+REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
+UNREACHABLE = 1e10  # the objective where no equilibrium is found
+
+
+@dataclass
+class AdjointStep:
+    """An iteration of TAO: objective, norm of its gradient, sag over the size."""
+
+    iteration: int
+    objective: float
+    gradient: float
+    sag: float
+
+
+@dataclass
+class AdjointPath:
+    """The outcome: rest displacements with the director angles of their equilibrium `state`; reason: TAO's."""
+
+    rest: PETSc.Vec
+    state: PETSc.Vec
+    steps: list[AdjointStep] = field(default_factory=list)
+    forward_solves: int = 0
+    adjoint_solves: int = 0
+    reason: int = 0
+
+
+Progress = Callable[[AdjointStep], None]
+
+
+class Forward:
+    """Equilibria under the full load from nearby ones, with one solver for all."""
+
+    def __init__(self, problem: Problem, accuracy: float):
+        """accuracy: residual over the loads' norm."""
+        self.problem, self.options = problem, StaticsOptions(tolerance=accuracy)
+        self.snes, self.newton = create_snes(problem, problem.create_matrix())
+        self.contact = FrictionalSolver(problem, self.snes, self.newton) if problem.contact else None
+        self.solves = 0
+
+    def solve(self, y: PETSc.Vec) -> bool:
+        """y moves to an equilibrium that descent reaches from it; False where it does not."""
+        problem = self.problem
+        self.solves += 1
+        problem.load_factor = 1.0
+        wanted = tolerance(problem, y, self.options)
+        if self.contact:
+            return self.contact.solve(y, wanted, 2).converged
+        self.newton.descend = True
+        self.snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=PATIENCE)
+        self.snes.setFromOptions()
+        self.snes.solve(None, y)
+        PETSc.garbage_cleanup(problem.comm)  # petsc4py only marks what Python has dropped
+        return self.snes.getConvergedReason() > 0
+
+
+class Objective:
+    """Distance of the simulation from the target as a function of the rest shape, with derivatives, and the Python
+    context of its Hessian. The target must be `obstructed`."""
+
+    def __init__(self, target: Target, home: PETSc.Vec, regularisation: float = 0.0, accuracy: float = 1e-8):
+        """home: z_0; regularisation: weight of the rest shape's change; accuracy of statics: residual over the loads'
+        norm."""
+        self.target, self.problem, self.rest = target, target.problem, target.rest
+        self.home, self.regularisation = home.copy(), regularisation
+        problem = self.problem
+        self.weight = problem.mass()
+        self.weight.array[~self.rest.is_vertex] = 0.0
+        self.weight.scale(3.0 / (self.weight.sum() * problem.size() ** 2))
+        self.tangent, self.mixed = problem.create_matrix(), problem.create_matrix()
+        self.mixed.setOption(PETSc.Mat.Option.SYMMETRIC, False)
+        self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
+        self.factor, self.accuracy = self.factors[True], accuracy
+        self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
+        self.start = self.rest.state(home)  # of every simulation: the last accepted equilibrium
+        self.began = problem.contact.state.copy() if problem.contact else None
+        self.state = self.start.copy()
+        self.at: PETSc.Vec | None = None
+        self.best = math.inf, math.inf  # objective and its sag
+
+    # ---- the map from rest shape to equilibrium ----
+
+    def simulate(self, z: PETSc.Vec) -> bool:
+        """The equilibrium of rest shape z from `start`; `state` stays where there is none. Raises NotConverged where
+        the first one is not found."""
+        if self.at is not None and self.at.equal(z):
+            return True
+        self.rest.set(z)
+        y, contact = self.start.copy(), self.problem.contact
+        if contact and self.began:
+            contact.state = self.began.copy()
+        if not (self.forward.solve(y) and self._linearise(y)):
+            if self.at is None:
+                raise NotConverged("adjoint method: the first simulation, from the target, did not converge")
+            self._linearise(self.state)
+            return False
+        self.state, self.at = y, z.copy()
+        return True
+
+    def accept(self) -> None:
+        """Simulations start from the present equilibrium from now on; slip is still measured from the target."""
+        self.start = self.state.copy()
+        if self.problem.contact:
+            self.began = self.problem.contact.state.copy()
+
+    def _linearise(self, y: PETSc.Vec) -> bool:
+        """Factors the tangent at the equilibrium y, which leaves a saddle first; False where there is none beside."""
+        problem = self.problem
+        if problem.contact:  # whose solver has left saddles
+            linear = problem.contact.linearise(problem.positions(y), problem.load_factor)
+            problem.tangent(y, self.tangent, "exact", linear.blocks())
+            symmetric = problem.everywhere(linear.symmetric)
+        else:
+            problem.tangent(y, self.tangent)
+            symmetric = True
+        self.factor = self.factors[symmetric]
+        self.factor.setOperators(self.tangent)
+        self.factor.setUp()
+        if not problem.contact and negative_pivots(self.factor):
+            path = solve_statics(problem, StaticsOptions(load_steps=1, tolerance=self.accuracy), start=y)
+            if not path.stable:
+                return False
+            path.state.copy(y)
+            problem.tangent(y, self.tangent)
+            self.factor.setUp()
+        self.rest.jacobian(y, self.mixed)
+        return True
+
+    # ---- what TAO asks ----
+
+    def evaluate(self, z: PETSc.Vec, gradient: PETSc.Vec) -> float:
+        """The objective and its gradient; UNREACHABLE, with the last equilibrium's gradient, where z has none."""
+        found = self.simulate(z)
+        missed, changed = self._weighted(self.state), self._weighted(z - self.home)
+        value = 0.5 * self.state.dot(missed) + 0.5 * self.regularisation * (z - self.home).dot(changed)
+        self._pull(missed, gradient)
+        gradient.axpy(self.regularisation, changed)
+        if found and value < self.best[0]:
+            self.best = value, sag(self.target, self.state)
+        return value if found else UNREACHABLE
+
+    def mult(self, _matrix: PETSc.Mat, v: PETSc.Vec, out: PETSc.Vec) -> None:
+        """The Gauss-Newton Hessian times v; the identity on director angles, which are no design variables."""
+        image, moved = v.duplicate(), v.duplicate()
+        self.mixed.mult(v, image)
+        self.factor.apply(image, moved)  # K^-1 D v: the equilibrium moves by its opposite
+        self.adjoint_solves += 1
+        self._pull(self._weighted(moved), out)
+        out.scale(-1.0)
+        out.axpy(self.regularisation, self._weighted(v))
+        out.array[~self.rest.is_vertex] = v.array_r[~self.rest.is_vertex]
+
+    def _weighted(self, v: PETSc.Vec) -> PETSc.Vec:
+        """M v / (M L^2)."""
+        out = v.duplicate()
+        out.pointwiseMult(self.weight, v)
+        return out
+
+    def _pull(self, v: PETSc.Vec, out: PETSc.Vec) -> None:
+        """-D^T K^-T v."""
+        adjoint = v.duplicate()
+        self.factor.applyTranspose(v, adjoint)
+        self.adjoint_solves += 1
+        self.mixed.multTranspose(adjoint, out)
+        out.scale(-1.0)
+        out.array[~self.rest.is_vertex] = 0.0
+
+
+def _factor(comm, symmetric: bool) -> PETSc.PC:
+    """LDL^T (its inertia tells a saddle) or, where something slips, LU."""
+    pc = PETSc.PC().create(comm=comm)
+    pc.setOptionsPrefix("adjoint_")
+    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+    pc.setFactorSolverType("mumps")
+    pc.setFromOptions()
+    return pc
+
+
+def minimise(
+    target: Target,
+    start: PETSc.Vec,
+    regularisation: float,
+    iterations: int,
+    accuracy: float = 1e-8,
+    on_step: Progress | None = None,
+) -> AdjointPath:
+    """The rest shape whose simulation is nearest to the target, from `start` (rest displacements and director angles)
+    on. Ends when it settles, or after so many iterations of TAO."""
+    problem = target.problem
+    with target.obstructed():
+        objective = Objective(target, start, regularisation, accuracy)
+        z, path = start.copy(), AdjointPath(start, start)
+        tao = PETSc.TAO().create(comm=problem.comm)
+        tao.setOptionsPrefix("inverse_")
+        tao.setType(PETSc.TAO.Type.NTR)
+        tao.setObjectiveGradient(lambda _tao, z, g: objective.evaluate(z, g), z.duplicate())
+        sizes = (z.getSizes(), z.getSizes())
+        hessian = PETSc.Mat().createPython(sizes, objective, comm=problem.comm)
+        hessian.setUp()
+
+        def accepted(_tao, z, _hessian, _preconditioner) -> None:
+            objective.simulate(z)
+            objective.accept()
+
+        tao.setHessian(accepted, hessian, hessian)
+        radius = FIRST_RADIUS * problem.size() * math.sqrt(problem.unknowns)
+        tao.setInitialTrustRegionRadius(radius)
+        tao.setMaximumIterations(iterations)
+        tao.setTolerances(gatol=0.0, grtol=0.0, gttol=1e-6)
+        tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
+        tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
+        _defaults(tao)
+        tao.setSolution(z)
+        tao.solve()
+        path.reason = tao.getConvergedReason()
+        objective.simulate(z)
+    path.state, path.rest = objective.state, z
+    path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
+    path.forward_solves, path.adjoint_solves = objective.forward.solves, objective.adjoint_solves
+    return path
+
+
+def _defaults(tao: PETSc.TAO) -> None:
+    """What the options do not say: the trust region's first radius as set, few products, no preconditioner."""
+    options = PETSc.Options("inverse_")
+    if not options.hasName("tao_ntr_init_type"):
+        options.setValue("tao_ntr_init_type", "constant")
+    tao.setFromOptions()
+    ksp = tao.getKSP()
+    if ksp:
+        ksp.setTolerances(rtol=ACCURACY, max_it=PRODUCTS)
+        ksp.pc.setType(PETSc.PC.Type.NONE)
+        ksp.setFromOptions()
+
+
+def _note(tao: PETSc.TAO, objective: Objective, path: AdjointPath, on_step: Progress | None) -> None:
+    iteration, value, gradient = tao.getSolutionStatus()[:3]
+    if path.steps and path.steps[-1].iteration == iteration:
+        return  # a trial that was rejected
+    path.steps.append(AdjointStep(iteration, value, gradient, objective.best[1]))
+    if on_step:
+        on_step(path.steps[-1])
+
+
+def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float) -> None:
+    """Converged by default's tests, where the trust region has shrunk, or where it has become slow."""
+    iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
+    reason = REASON.CONTINUE_ITERATING
+    first = path.steps[0] if path.steps else None
+    if not np.isfinite(value) or (first and gradient <= 1e-6 * first.gradient) or value == 0.0:
+        reason = REASON.CONVERGED_GTTOL
+    elif iteration and tao.getType() == PETSc.TAO.Type.NTR and reach < LAST_RADIUS * radius:
+        reason = REASON.CONVERGED_STEPTOL
+    elif iteration >= tao.getMaximumIterations():
+        reason = REASON.DIVERGED_MAXITS
+    elif len(path.steps) > LOOK_BACK and value > (1.0 - SLOW) * path.steps[-1 - LOOK_BACK].objective:
+        reason = REASON.CONVERGED_STEPTOL
+    tao.setConvergedReason(reason)

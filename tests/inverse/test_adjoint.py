@@ -1,0 +1,104 @@
+"""The adjoint method: gradient and Hessian by Taylor tests, and what it finds where the target is not stable."""
+
+import numpy as np
+import pytest
+from inverse_shells import hanging_sheet, strip
+from mpi4py import MPI
+from test_direct import heavy_strip, on_incline, solve
+
+from voile.inverse.adjoint import Objective
+from voile.inverse.direct import Direct
+from voile.inverse.target import Target
+from voile.problem.discrete import Problem
+
+
+def sample(kind, comm=MPI.COMM_SELF):
+    """A target and a rest shape near its own."""
+    shape, plane = (
+        on_incline(0.2, 0.6, young=1e4)
+        if kind == "contact"
+        else (hanging_sheet(young=2e8, bending=kind), None)
+    )
+    bodies = [plane] if plane else []
+    problem = Problem(shape if comm.rank == 0 else None, comm)
+    target = Target(problem, shape if comm.rank == 0 else None, bodies, 0.5e-3, 1e-3)
+    return target
+
+
+def wave(target, frequency, size):
+    """A smooth rest displacement, the same for any number of ranks."""
+    field = size * np.sin(frequency * target.x @ np.array([[20.0, 3, 5], [7, 30, 2], [3, 11, 25.0]]))
+    return target.field_vector(field)
+
+
+@pytest.mark.parametrize("kind", ["average", "tan", "contact"])
+def test_the_gradient_is_that_of_the_objective(kind):
+    target = sample(kind)
+    home = Direct(target).follow().rest
+    size = 1e-5 if kind == "contact" else 1e-4  # reactions stay inside their cones
+    with target.obstructed():
+        objective = Objective(target, target.problem.create_vector(), regularisation=0.1, accuracy=1e-10)
+        objective.start = target.rest.state(home)
+        z = home.copy()
+        z.axpy(1.0, wave(target, 1.0, size))
+        direction, gradient = wave(target, 1.7, size), z.duplicate()
+        value = objective.evaluate(z, gradient)
+        slope = gradient.dot(direction)
+        steps, left = np.array([1e-1, 1e-2]), []
+        for h in steps:
+            there = z.copy()
+            there.axpy(h, direction)
+            left.append(abs(objective.evaluate(there, there.duplicate()) - value - h * slope))
+        np.testing.assert_allclose(np.log10(left[0] / left[1]), 2.0, atol=0.15)
+        ahead, back = z.copy(), z.copy()
+        ahead.axpy(1e-2, direction)
+        back.axpy(-1e-2, direction)
+        difference = objective.evaluate(ahead, z.duplicate()) - objective.evaluate(back, z.duplicate())
+        assert difference / 2e-2 == pytest.approx(slope, rel=1e-5)
+
+
+def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
+    target = sample("average")
+    target.load(1.0)
+    zero = target.problem.create_vector()
+    objective = Objective(target, zero, regularisation=0.01, accuracy=1e-10)
+    objective.simulate(zero)
+    v, w = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
+    hv, hw = v.duplicate(), w.duplicate()
+    objective.mult(None, v, hv)
+    objective.mult(None, w, hw)
+    assert v.dot(hw) == pytest.approx(w.dot(hv), rel=1e-9)
+    moved = objective.state.copy()
+    ahead = zero.copy()
+    ahead.axpy(1e-3, v)
+    objective.simulate(ahead)
+    moved.axpby(1e3, -1e3, objective.state)  # dx/dz v
+    expected = moved.dot(objective._weighted(moved)) + 0.01 * v.dot(objective._weighted(v))
+    assert v.dot(hv) == pytest.approx(expected, rel=1e-2)
+
+
+def test_a_column_that_cannot_stand_is_brought_as_near_as_it_can():
+    shape, _ = heavy_strip(9.0, upwards=True, cells=20)
+    result = solve(shape, iterations=10)
+    assert result.direct.critical == pytest.approx(7.837 / 9.0, rel=0.03)
+    assert result.adjoint is not None and result.stable and result.simulation.stable
+    assert result.simulation.sag < 0.9 * result.adjoint.steps[0].sag
+    assert "nearest stable answer" in result.reason
+
+
+@pytest.mark.parametrize("kind", ["bnls", "bqnls", "blmvm", "bntr", "nls"])
+def test_taos_types_can_be_chosen(kind):
+    from petsc4py import PETSc
+
+    from voile.inverse.adjoint import minimise
+
+    shape = strip(8, 0.3, 0.05, young=5e8)
+    problem = Problem(shape, MPI.COMM_SELF)
+    target = Target(problem, shape, [], 0.0, 1e-3)
+    target.load(1.0)
+    PETSc.Options().setValue("inverse_tao_type", kind)
+    try:
+        path = minimise(target, problem.create_vector(), 0.0, 30)
+    finally:
+        PETSc.Options().delValue("inverse_tao_type")
+    assert path.steps[-1].objective < 0.1 * path.steps[0].objective
