@@ -72,6 +72,8 @@ def run_statics(scene, model, folder: Path, comm, progress: "Progress", began: f
 
 def run_inverse(scene, model, folder: Path, comm, progress: "Progress", began: float) -> str:
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
+    if scene.inverse.estimate:
+        return _run_estimation(scene, model, folder, comm, progress, began)
     from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
     from voile.problem.discrete import Problem
     from voile.solver.sewing import sew
@@ -101,6 +103,39 @@ def run_inverse(scene, model, folder: Path, comm, progress: "Progress", began: f
         f"{result.reason}"
     )
     return "" if result.converged else result.reason
+
+
+def _run_estimation(scene, model, folder: Path, comm, progress: "Progress", began: float) -> str:
+    """Parameters of the shell from its observed shape, the scene's mesh, and its known rest shape."""
+    from voile.inverse.estimate import Estimation
+    from voile.problem.discrete import Problem
+    from voile.results import ResultWriter
+    from voile.solver.path import Path as LoadPath
+    from voile.solver.sewing import sew
+    from voile.wiring import static_mesh
+
+    shell = sew(model.shell if model else None, comm)
+    problem = Problem(shell, comm)
+    estimation = Estimation(problem, scene.inverse.estimate, scene.inverse.tolerance)
+    found = estimation.solve(progress.estimate)
+    mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
+    with ResultWriter(
+        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=_versions()
+    ) as writer:
+        writer.write_step(1.0, scalars={"misfit": found.misfit}, **_rows(problem, found.state))
+    report = {
+        "estimate": {
+            name: {"value": value, "deviation": found.deviations[name]}
+            for name, value in found.values.items()
+        },
+        "misfit": found.misfit,
+        "forward_solves": found.forward_solves,
+    }
+    for name, value in found.values.items():
+        progress.line(f"{name} = {value:.6g}, standard deviation {found.deviations[name]:.2g}")
+    path = LoadPath(found.state, converged=True, reason="estimate settled", stable=True)
+    _summarise(scene, model, problem, path, folder, dict(problem.seconds), began, inverse=report)
+    return ""
 
 
 def _target_shell(model):
@@ -278,6 +313,13 @@ class Progress:
         self.line(
             f"adjoint {step.iteration:3d}  objective {step.objective:.3e}  gradient {step.gradient:.2e}  "
             f"sag {step.sag:.2e}  {time.perf_counter() - self.began:.1f} s"
+        )
+
+    def estimate(self, iteration: int, misfit: float, values: dict[str, float]) -> None:
+        """One iteration of an estimation."""
+        shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        self.line(
+            f"estimate {iteration:3d}  misfit {misfit:.3e} m  {shown}  {time.perf_counter() - self.began:.1f} s"
         )
 
     def step(self, step) -> None:

@@ -149,6 +149,7 @@ class Objective:
         self.factor.setUp()
         if not problem.contact and negative_pivots(self.factor):
             path = solve_statics(problem, StaticsOptions(load_steps=1, tolerance=self.accuracy), start=y)
+            problem.unbase(path.state)
             if not path.stable:
                 return False
             path.state.copy(y)

@@ -46,6 +46,7 @@ def simulate(
             start.axpy(DISTURBANCE * problem.thickness(), _disturbance(target))
         options = StaticsOptions(load_steps=1, tolerance=tolerance, stability=True, eigenvalue=eigenvalue)
         path = solve_statics(problem, options, start=start)
+        problem.unbase(path.state)
     return Simulation(path, sag(target, path.state))
 
 

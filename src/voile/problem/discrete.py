@@ -55,7 +55,7 @@ class Problem:
         self._flat = flat
         self.kernel = self._make_kernel(part.points)
         self._base = np.zeros(self._size[0])  # displacements at the last `rebase`
-        self._gap, self._base_factor = part.gap.copy(), 0.0
+        self._gap, self._base_factor, self._rebased = part.gap.copy(), 0.0, False
         self._collect = part.matrix.T.tocsr()[: part.owned]
         self._vertex_force = self._weights()
         self.own = np.zeros(len(part.vertex), dtype=bool)
@@ -108,9 +108,24 @@ class Problem:
         them the membrane forces of a stiff shell that has moved far.
         """
         u, phi = self._shape(y)
+        self._rebased = True
         self._base += u
         self._gap, self._base_factor = np.concatenate([np.zeros_like(u), phi]), self.load_factor
         self.kernel = self._make_kernel(self.part.points + self._base.reshape(-1, 3))
+
+    def unbase(self, y: PETSc.Vec) -> None:
+        """Takes `rebase` back: y, and any state from now on, counts displacements from the start shape again."""
+        if not self._rebased:
+            return
+        self._rebased = False
+        dofs = np.concatenate(self.local(y)) - self.part.gap - self.load_factor * self.part.lift
+        self._base[:] = 0.0
+        self._gap, self._base_factor = self.part.gap.copy(), 0.0
+        self.kernel = self._make_kernel(self.part.points)
+        single = np.flatnonzero(np.diff(self.part.matrix.indptr) == 1)
+        column = self.part.matrix.indices[self.part.matrix.indptr[single]]
+        own = column < self.part.owned
+        y.array[column[own]] = dofs[single[own]]
 
     # ---- layout ----
 

@@ -266,7 +266,9 @@ class Inverse:
         Choice(False, "constraint", "panels"), "whether and how the rest shape is developable", default=False
     )
     estimate: tuple[str, ...] = key(
-        Array(Choice("thickness", "young", "poisson", "density")), "parameters to estimate too", default=()
+        Array(Choice("thickness", "young", "poisson", "density")),
+        "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
+        default=(),
     )
     regularisation: float = key(
         Number(least=0),
@@ -305,6 +307,14 @@ class Scene:
     path: Path = Path()
 
     def check(self, given: set[str]) -> None:
+        if self.scene.task == "inverse" and self.inverse.estimate:
+            if self.shell.rest is None:
+                raise Rejected(
+                    "needs shell.rest: with the rest shape unknown too, every value fits the observed shape",
+                    ("inverse", "estimate"),
+                )
+            if self.obstacle:
+                raise Rejected("allowed: without [[obstacle]]", ("inverse", "estimate"))
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
@@ -336,7 +346,6 @@ def unsupported(scene: Scene) -> list[str]:
         f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
         f"inverse.developable = {scene.inverse.developable!r}": inverse and bool(scene.inverse.developable),
-        f"inverse.estimate = {list(scene.inverse.estimate)}": inverse and bool(scene.inverse.estimate),
         "contact.self_contact = true with task = inverse": inverse and scene.contact.self_contact,
     }
     return [what for what, used in asked.items() if used]
