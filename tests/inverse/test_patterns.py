@@ -1,0 +1,199 @@
+"""Panels, their flattening and the pattern: cuts, isometries of developable shapes, seams, files read back."""
+
+import numpy as np
+import pytest
+from mesh_helpers import generator
+
+from voile.errors import InputError
+from voile.inverse.flatten import distortion, flatten, flatten_disc
+from voile.inverse.panels import Panels, split
+from voile.mesh import build_topology
+
+patterns = generator("patterns")
+
+
+def skirt(**sizes):
+    """A cone's points and triangles: developable exactly, its triangles are those of a prismatic cone."""
+    return generator("skirt").skirt(size=0.05, **sizes)[:2]
+
+
+def gores(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Four panels around the y axis; seams at 45 degrees from the axes."""
+    x, _, z = points[triangles].mean(axis=1).T
+    around = (np.arctan2(x, z) + np.pi / 4) / (np.pi / 2)
+    return np.floor(around).astype(int) % 4, ("front", "left", "back", "right")
+
+
+def hat() -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, tuple[str, ...]]]:
+    """A hemisphere of radius 0.1 m and a plane brim of the same ring of vertices, with their groups."""
+    points, crown = generator("hemisphere").hemisphere(radius=0.1, hole=0.0, size=0.02)
+    rim = np.flatnonzero(abs(points[:, 2]) < 1e-12)
+    rim = rim[np.argsort(np.arctan2(points[rim, 1], points[rim, 0]))]
+    n, around = len(rim), np.roll(np.arange(len(rim)), -1)
+    outer = len(points) + np.arange(n)
+    brim = np.concatenate(
+        [np.column_stack([rim, outer, rim[around]]), np.column_stack([rim[around], outer, outer[around]])]
+    )
+    group = np.repeat([0, 1], [len(crown), len(brim)])
+    return (
+        np.concatenate([points, 1.6 * points[rim]]),
+        np.concatenate([crown, brim]),
+        (group, ("crown", "brim")),
+    )
+
+
+def torus() -> tuple[np.ndarray, np.ndarray]:
+    uv, triangles = patterns.grid(16, 8)
+    a, b = 2 * np.pi * uv.T
+    points = np.column_stack([(3 + np.cos(b)) * np.cos(a), (3 + np.cos(b)) * np.sin(a), np.sin(b)])
+    return patterns.weld(points, triangles, 1e-6)
+
+
+def octahedron() -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([np.eye(3), -np.eye(3)])
+    return points, np.array(
+        [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    )
+
+
+def edge_errors(panels: Panels, flat: np.ndarray) -> np.ndarray:
+    """Relative errors of all edges' lengths in the plane."""
+    edges = build_topology(panels.corners).edges
+    lengths = [
+        np.linalg.norm(np.diff(x[edges], axis=1)[:, 0], axis=1) for x in (flat, panels.points[panels.vertex])
+    ]
+    return lengths[0] / lengths[1] - 1
+
+
+# ---- cutting ----
+
+
+def test_skirt_is_cut_open_down_the_middle_of_its_back():
+    points, triangles = skirt()
+    panels = split(triangles, points)
+    assert panels.names == ("panel-1",) and len(panels.seams) == 1
+    seam = panels.seams[0]
+    at = points[panels.vertex[seam.sides[0]]]
+    assert seam.panels == (0, 0)
+    assert abs(at[:, 0]).max() < 1e-12 and at[:, 2].max() < 0
+    assert np.ptp(at[:, 1]) == pytest.approx(np.ptp(points[:, 1]), rel=1e-12)
+    assert np.array_equal(panels.vertex[seam.sides[0]], panels.vertex[seam.sides[1]])
+    assert not np.intersect1d(*seam.sides).size
+    assert len(panels.vertex) == len(points) + len(at)
+
+
+def test_gores_are_sewn_along_their_four_seams():
+    points, triangles = skirt()
+    panels = split(triangles, points, groups=gores(points, triangles))
+    assert sorted(panels.names) == ["back", "front", "left", "right"]
+    joined = sorted(sorted(panels.names[k] for k in seam.panels) for seam in panels.seams)
+    assert joined == [["back", "left"], ["back", "right"], ["front", "left"], ["front", "right"]]
+    for seam in panels.seams:
+        assert [np.unique(panels.vertex_panel[side]).tolist() for side in seam.sides] == [
+            [k] for k in seam.panels
+        ]
+        assert seam.at[0][0] == 0 and seam.at[0][-1] == pytest.approx(1) and (np.diff(seam.at[0]) > 0).all()
+
+
+def test_given_seams_cut_the_same_gores():
+    points, triangles = skirt()
+    index, names = gores(points, triangles)
+    grouped = split(triangles, points, groups=(index, names))
+    pairs = np.concatenate(
+        [np.column_stack([s[:-1], s[1:]]) for s in (grouped.vertex[q.sides[0]] for q in grouped.seams)]
+    )
+    seamed = split(triangles, points, seams=pairs)
+    assert np.array_equal(seamed.corners, grouped.corners)
+    assert seamed.names == ("panel-1", "panel-2", "panel-3", "panel-4")
+
+
+@pytest.mark.parametrize(("shape", "seams"), [(torus, 2), (octahedron, 1)])
+def test_closed_surfaces_are_cut_to_one_disc(shape, seams):
+    points, triangles = shape()
+    panels = split(triangles, points)
+    edges = build_topology(panels.corners).edges
+    assert len(panels.outlines) == 1 and len(panels.vertex) - len(edges) + len(triangles) == 1
+    assert len(panels.seams) == seams
+    assert sum(len(seam.sides[0]) - 1 for seam in panels.seams) * 2 == len(panels.outlines[0])
+
+
+def test_a_group_in_two_pieces_gives_two_numbered_panels():
+    points, triangles = skirt()
+    index = gores(points, triangles)[0]
+    panels = split(triangles, points, groups=(index % 2, ("front and back", "sides")))
+    assert sorted(panels.names) == ["front and back-1", "front and back-2", "sides-1", "sides-2"]
+
+
+# ---- flattening ----
+
+
+def cylinder():
+    return generator("cylinder").cylinder(radius=0.2, length=0.5, sector=150.0, size=0.04)[:2]
+
+
+@pytest.mark.parametrize("shape", [skirt, cylinder])
+def test_developable_panels_keep_every_edge(shape):
+    points, triangles = shape()
+    flat = flatten(split(triangles, points))
+    assert abs(edge_errors(flat.panels, flat.coordinates)).max() < 1e-12
+    assert abs(flat.stretches - 1).max() < 1e-12
+
+
+def test_gores_keep_every_edge():
+    points, triangles = skirt()
+    flat = flatten(split(triangles, points, groups=gores(points, triangles)))
+    assert abs(edge_errors(flat.panels, flat.coordinates)).max() < 1e-12
+
+
+def test_a_hemisphere_is_laid_flat_with_least_energy():
+    """Against disturbed shapes: no other one near has less; and rings are too long as they must be."""
+    points, triangles = generator("hemisphere").hemisphere(radius=0.1, hole=0.0, size=0.02)
+    flat = flatten_disc(points, triangles)
+    area = np.linalg.norm(
+        np.cross(*(points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))), axis=1
+    )
+
+    def energy(x):
+        s = distortion(points, triangles, x)
+        return area @ (s**2 + s**-2).sum(axis=1)
+
+    random = np.random.default_rng(1)
+    for _ in range(5):
+        change = 1e-5 * random.standard_normal(flat.shape)
+        assert energy(flat + change) > energy(flat)
+        slope = (energy(flat + 1e-3 * change) - energy(flat - 1e-3 * change)) / 2e-3
+        assert abs(slope) < 1e-7 * (energy(flat + change) - energy(flat)) / 1e-3
+    assert distortion(points, triangles, flat).min() > 0.5
+    rim = abs(points[:, 2]) < 1e-12
+    assert np.linalg.norm(flat[rim] - flat.mean(axis=0), axis=1).mean() > 0.11
+
+
+def test_distortion_is_that_of_a_known_map():
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+    s = distortion(points, np.array([[0, 1, 2]]), np.array([[0, 0], [0, 1.25], [-0.8, 0]]))
+    assert s == pytest.approx(np.array([[1.25, 0.8]]))
+
+
+# ---- bad input ----
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"groups": (np.zeros(10000, dtype=int), ("all",))}, "panel 'all' is no disc, it has 2 borders"),
+        ({"seams": np.array([[0, 1]])}, "vertices 0 and 1 are an edge of its border"),
+        ({"seams": np.array([[0, 200]])}, "vertices 0 and 200 are no edge of the surface"),
+        ({"seams": np.array([[24, 48], [48, 72]])}, "seams end at the vertices 24, 72"),
+    ],
+)
+def test_bad_panels_are_refused(options, message):
+    points, triangles = skirt()
+    if "groups" in options:
+        options = {"groups": (options["groups"][0][: len(triangles)], options["groups"][1])}
+    with pytest.raises(InputError, match=message):
+        split(triangles, points, **options)
+
+
+def test_more_than_two_triangles_at_an_edge_are_refused():
+    with pytest.raises(InputError, match="at most two triangles to an edge"):
+        split(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]), np.random.default_rng(0).random((5, 3)))
