@@ -1,5 +1,7 @@
 """A shell against itself: distances and their derivatives, the laws' derivatives, stacks with known forces, loops."""
 
+import sys
+
 import numpy as np
 import pytest
 from protocols import UP, held, plate, shell_of
@@ -10,8 +12,12 @@ from voile.contact.obstacles import Plane
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import Contact
 from voile.errors import InputError
+from voile.mesh import write_obj
 from voile.problem.contact import attach, contact_fields, contact_report, shell_layers
 from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
+from voile.results import read_result, read_summary
+from voile.solver import frictional
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -120,8 +126,9 @@ def test_no_layer_passes_through_another():
     away, through = x.copy(), x.copy()
     away[upper, 2] += 0.01
     through[upper, 2] -= 4.0 * OFFSET
-    assert layers.free_share(x, away) == 1.0
-    share = layers.free_share(x, through)
+    near = layers.find(x, np.zeros(0, dtype=int))
+    assert layers.free_share(x, away, near) == 1.0
+    share = layers.free_share(x, through, near)
     assert 0.1 < share < 0.5  # 2 OFFSET of 4 OFFSET, less the waves
     assert (x + share * (through - x))[upper, 2].min() > x[~upper, 2].min()
 
@@ -137,26 +144,32 @@ def test_what_is_near_along_the_cloth():
     assert len(near_along(edges, np.ones(5), 6, 0.5)) == 0
 
 
-def stack(friction: float = 0.0, angle: float = 0.0, size: float = 0.125):
-    """Path, problem and the upper vertices of two patches, one on the other on a plane; gravity inclined by angle."""
+def stack(friction: float = 0.0, angle: float = 0.0, size: float = 0.125, drag: float = 0.0):
+    """Path, problem and the upper vertices of two patches, one on the other on a plane; gravity inclined by angle, or
+    the upper patch's edge dragged along x (m) over the lower one, which is held."""
     lower, one = plate(1.0, 1.0, size)
     upper, two = plate(0.6, 0.6, 0.83 * size)
     points = np.concatenate([lower + OFFSET * UP, upper + np.array([0.23, 0.22, 3.0 * OFFSET])])
     above = np.arange(len(points)) >= len(lower)
-    fixed = np.zeros(points.shape, dtype=bool)
-    if angle == 0.0:  # what no friction holds
+    fixed, motion = np.zeros(points.shape, dtype=bool), np.zeros_like(points)
+    if drag:
+        edge = above & (points[:, 0] == points[above, 0].min())
+        fixed[~above], fixed[edge, 0], motion[edge, 0] = True, True, drag
+        fixed[np.argmax(edge), 1] = True
+    elif angle == 0.0:  # what no friction holds
         for part in (np.flatnonzero(~above), np.flatnonzero(above)):
             x, y = points[part, :2].T
             fixed[part[np.argmin(x + y)], :2] = True
             fixed[part[np.argmax(x - y)], 1] = True
     shell = shell_of(
         points, np.concatenate([one, two + len(lower)]), young=YOUNG, thickness=1e-3, density=DENSITY, fixed=fixed,
-        gravity=GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)]),
+        motion=motion, gravity=GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)]),
     )  # fmt: skip
     problem = Problem(shell)
     floor = Plane(name="floor", friction=3.0 * np.tan(angle), point=np.zeros(3), normal=UP)
     attach(problem, [floor], OFFSET, shell_layers(shell, OFFSET, friction))
-    return solve_statics(problem, StaticsOptions(load_steps=1)), problem, above
+    steps = 4 if drag else 1
+    return solve_statics(problem, StaticsOptions(load_steps=steps)), problem, above
 
 
 def test_a_patch_rests_on_another():
@@ -181,8 +194,27 @@ def test_a_patch_sticks_to_another_on_an_incline(angle):
     assert np.abs(problem.motion(path.state)).max() < 1e-12
 
 
-def loop(self_contact: bool, friction: float = 0.0, steps: int = 10):
-    """Path, problem, shell and offset of a ring of a strip, held at its ends, its sides pinched into each other."""
+def test_a_patch_slides_off_another(monkeypatch):
+    """At mu = 0.999 tan(angle) no equilibrium: it creeps down, however little."""
+    monkeypatch.setattr(frictional, "GONE", 2e-4)  # sizes
+    path, _, _ = stack(0.999 * np.tan(np.radians(20.0)), np.radians(20.0))
+    assert not path.converged and "it moves along (1.000, " in path.reason
+    assert "itself (friction 0.363606)" in path.reason
+
+
+def test_friction_of_a_dragged_patch():
+    """Dragged over half a cell, from triangle to triangle, all slips: mu times its weight against the way."""
+    friction = 0.3
+    path, problem, above = stack(friction, size=0.25, drag=-0.1)
+    assert path.converged
+    weight = GRAVITY * DENSITY * 1e-3 * 0.36
+    force = contact_fields(problem, path.state)["reaction"][above].sum(axis=0)
+    assert force[2] == pytest.approx(weight, rel=1e-8)
+    assert force[0] == pytest.approx(friction * weight, rel=1e-6)
+
+
+def loop_shell() -> tuple[Shell, float]:
+    """A ring of a strip, held at its ends, its sides pinched into each other; offset."""
     length, cells, offset = 1.0, 40, 2e-3
     rest, triangles = plate(length, 0.1, length / cells)
     at, radius = rest[:, 0] / length, 0.5 * length / np.pi
@@ -198,9 +230,15 @@ def loop(self_contact: bool, friction: float = 0.0, steps: int = 10):
         points, triangles, rest=rest, young=1e7, thickness=1e-3, density=DENSITY,
         **held(points, (ends, np.zeros(3)), *pinch),
     )  # fmt: skip
+    return shell, offset
+
+
+def loop(self_contact: bool):
+    """Path, problem, shell and offset of that ring."""
+    shell, offset = loop_shell()
     problem = Problem(shell)
-    attach(problem, [], offset, shell_layers(shell, offset, friction) if self_contact else None)
-    return solve_statics(problem, StaticsOptions(load_steps=steps)), problem, shell, offset
+    attach(problem, [], offset, shell_layers(shell, offset, 0.0) if self_contact else None)
+    return solve_statics(problem, StaticsOptions(load_steps=10)), problem, shell, offset
 
 
 def test_a_pinched_loop_does_not_pass_through_itself():
@@ -222,6 +260,47 @@ def least_distance(x: np.ndarray, shell) -> float:
     along = np.abs(rest[vertex, 0] - rest[triangles[triangle], 0].mean(axis=-1))
     vertex, triangle = vertex[along > near], triangle[along > near]
     return closest_to_triangle(x[np.column_stack([vertex, triangles[triangle]])]).distance.min()
+
+
+LOOP = """
+[shell]
+mesh = "loop.obj"
+rest = "strip.obj"
+young = 1e7
+poisson = 0.0
+thickness = 1e-3
+density = 300.0
+[loads]
+gravity = [0.0, 0.0, -9.81]
+[contact]
+offset = {offset}
+self_contact = true
+"""
+
+
+@pytest.mark.mpi
+def test_ranks_agree(tmp_path, mpirun):
+    shell, offset = loop_shell()
+    write_obj(tmp_path / "loop.obj", shell.points, shell.triangles)
+    write_obj(tmp_path / "strip.obj", shell.rest_points, shell.triangles)
+    text = LOOP.format(offset=offset)
+    for move in np.unique(shell.motion[shell.fixed[:, 0]], axis=0):
+        nodes = np.flatnonzero(shell.fixed[:, 0] & (shell.motion == move).all(axis=1))
+        text += f"[[fix]]\nselect.nodes = {nodes.tolist()}\nmove.displacement = {move.tolist()}\n"
+    (tmp_path / "scene.toml").write_text(text)
+    found = []
+    for ranks in (1, 2):
+        out = tmp_path / str(ranks)
+        command = [sys.executable, "-m", "voile.cli", "run", str(tmp_path / "scene.toml"), "-o", str(out)]
+        done = mpirun(ranks, command, 120)
+        assert done.returncode == 0, done.stderr
+        summary = read_summary(out / "summary.json")
+        assert summary["contact"]["self_contacts"] > 0 and "self-contact" in summary["modelled"]
+        with read_result(out) as result:
+            found.append((result.points(), summary["contact"]))
+    (points, contact), (again, other) = found
+    assert np.abs(again - points).max() <= 1e-8 * np.linalg.norm(np.ptp(points, axis=0))
+    assert other["active"] == contact["active"]
 
 
 def test_layers_in_the_same_place_are_refused():

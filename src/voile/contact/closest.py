@@ -37,11 +37,9 @@ def closest_to_triangle(x: np.ndarray) -> Closest:
     along[inside] = [[0.0, 0.0], [1.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
     distance = np.where(inside, _length(weight, x), np.inf)
     for first, second in EDGES:
-        edge = x[:, second] - x[:, first]
-        u = np.clip(_dot(x[:, 0] - x[:, first], edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+        u, length = _to_edge(x[:, 0], x[:, first], x[:, second])
         w = np.zeros((p, 4))
         w[:, 0], w[:, first], w[:, second] = 1.0, u - 1.0, -u
-        length = _length(w, x)
         nearer = ~inside & (length < distance)
         weight[nearer], distance[nearer] = w[nearer], length[nearer]
         along[nearer] = 0.0
@@ -62,6 +60,14 @@ def closest_of_edges(x: np.ndarray) -> Closest:
     along = np.zeros((p, 4, 2))
     along[inside] = [[-1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
     return Closest(weight, along, np.where(inside, _length(weight, x), np.inf))
+
+
+def edge_distance(x: np.ndarray) -> np.ndarray:
+    """(p,) distances of two edges x (p, 4, 3), wherever they are closest."""
+    ends = [(0, 2, 3), (1, 2, 3), (2, 0, 1), (3, 0, 1)]
+    return np.minimum.reduce(
+        [closest_of_edges(x).distance, *(_to_edge(x[:, i], x[:, j], x[:, k])[1] for i, j, k in ends)]
+    )
 
 
 def derivatives(c: Closest, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,6 +94,13 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _length(weight: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.einsum("pi,pik->pk", weight, x), axis=1)
+
+
+def _to_edge(point: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parameter (p,) of the point of an edge nearest to points (p, 3), and its distance (p,)."""
+    edge = second - first
+    u = np.clip(_dot(point - first, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+    return u, np.linalg.norm(first + u[:, None] * edge - point, axis=1)
 
 
 def _solve(e1: np.ndarray, e2: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,13 +7,13 @@ continuous collision detection), so the distance needs no sign: each layer stays
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import ipctk
 import numpy as np
 
-from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, derivatives, edge_distance
 from voile.contact.pairs import Geometry
 
 if TYPE_CHECKING:
@@ -63,28 +63,43 @@ class Layers:
 
     def find(self, x: np.ndarray, kept: np.ndarray) -> Candidates:
         """Candidates at positions x (n, 3), with those of the codes kept (k,) in any case."""
-        found = ipctk.Candidates()
-        found.build(self._mesh, x, 0.5 * (1.0 + BAND) * self.thickness)
-        code = np.union1d(self._codes(found), kept)
+        found, reach = ipctk.Candidates(), (1.0 + BAND) * self.thickness
+        found.build(self._mesh, x, 0.5 * reach)
+        boxed = self._named(self._codes(found), x)  # of these the boxes come near
+        corner, split = x[boxed.vertex], boxed.faces
+        distance = [closest_to_triangle(corner[:split]).distance, edge_distance(corner[split:])]
+        return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
+
+    def _named(self, code: np.ndarray, x: np.ndarray) -> Candidates:
         return Candidates(code, self._vertices(code), self._faces(code), x.copy())
 
-    def free_share(self, x: np.ndarray, moved: np.ndarray) -> float:
+    def valid(self, candidates: Candidates, x: np.ndarray) -> bool:
+        """Whether no other pairs than the candidates can touch at positions x (n, 3)."""
+        if len(candidates.home) != len(x):
+            return False
+        return bool(np.linalg.norm(x - candidates.home, axis=1).max() < 0.5 * BAND * self.thickness)
+
+    def free_share(self, x: np.ndarray, moved: np.ndarray, candidates: Candidates) -> float:
         """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1."""
-        swept = ipctk.Candidates()
-        swept.build(self._mesh, x, moved, 0.0)
-        code = self._codes(swept)
-        if not len(code):
-            return 1.0
+        swept, code = ipctk.Candidates(), candidates.code
+        if not (self.valid(candidates, x) and self.valid(candidates, moved)):
+            swept.build(self._mesh, x, moved, 0.0)
+            if not len(self._barred):
+                return self._free_share(swept, x, moved)
+            code = self._codes(swept)
         n, e, split = len(self.points), len(self.edges), self._faces(code)
         swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in code[:split].tolist()]
         edges = (code[split:] - self._split).tolist()
         swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
+        return self._free_share(swept, x, moved)
+
+    def _free_share(self, swept: ipctk.Candidates, x: np.ndarray, moved: np.ndarray) -> float:
         return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
 
     def coincident(self) -> int | None:
         """A vertex of two layers that start in the same place, or None."""
         here = self.find(self.points, np.zeros(0, dtype=np.int64))
-        distance = closest(here, np.arange(len(here.code)), self.points).distance
+        distance = closest(here, self.points).distance
         worst = int(np.argmin(distance)) if len(distance) else 0
         if not len(distance) or distance[worst] > SAME * self.thickness:
             return None
@@ -99,6 +114,8 @@ class Layers:
         code = np.sort(np.array(faces + edges, dtype=np.int64))
         vertex, split = self._vertices(code), self._faces(code)
         barred = np.zeros(len(code), dtype=bool)
+        if not len(self._barred):
+            return code
         for part, sides in zip((slice(split), slice(split, None)), ACROSS, strict=True):
             for i, j in sides:
                 barred[part] |= np.isin(self._pair_code(vertex[part, i], vertex[part, j]), self._barred)
@@ -129,6 +146,7 @@ class OnItself:
     here: np.ndarray
     free: np.ndarray
     own: np.ndarray
+    _last: tuple[Candidates, np.ndarray, Closest] | None = field(default=None, repr=False)
 
     @property
     def friction(self) -> float:
@@ -141,8 +159,7 @@ class OnItself:
     def renewed(self, x: np.ndarray, state: State, k: int) -> State:
         """The state, in which this partner's part is k, with the candidates at positions x (n, 3)."""
         old = state.candidates
-        apart = np.linalg.norm(x - old.home, axis=1).max() if len(old.home) else np.inf
-        if apart < 0.5 * BAND * self.layers.thickness:
+        if self.layers.valid(old, x):
             return state
         carry = (state.normal[k] != 0.0) | (state.bound[k] != 0.0)
         fresh = self.layers.find(x, old.code[carry])
@@ -158,17 +175,20 @@ class OnItself:
 
     def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
         """(c,) m; infinite for edges that are not closest inside both."""
-        return (
-            closest(state.candidates, np.arange(len(state.candidates.code)), x).distance
-            - self.layers.thickness
-        )
+        return self._closest(state.candidates, x).distance - self.layers.thickness
 
     def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
         """That of some contacts, whose gaps are finite."""
         vertex = state.candidates.vertex[rows]
-        c = closest(state.candidates, rows, x)
+        c = self._closest(state.candidates, x)[rows]
         normal, curvature = derivatives(c, x[vertex])
         return Geometry(c.distance - self.layers.thickness, normal, curvature, vertex, c.weight)
+
+    def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
+        """As `closest`, which is asked for again and again at the same positions."""
+        if self._last is None or self._last[0] is not candidates or not np.array_equal(self._last[1], x):
+            self._last = candidates, x.copy(), closest(candidates, x)
+        return self._last[2]
 
     def moved(
         self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
@@ -199,10 +219,9 @@ class OnItself:
         return np.flatnonzero(marked[self.here])
 
 
-def closest(candidates: Candidates, rows: np.ndarray, x: np.ndarray) -> Closest:
-    """Of candidates by ascending rows, at positions x (n, 3) of all vertices."""
-    split = int(np.searchsorted(rows, candidates.faces))
-    corner = x[candidates.vertex[rows]]
+def closest(candidates: Candidates, x: np.ndarray) -> Closest:
+    """Of all candidates, at positions x (n, 3) of all vertices."""
+    split, corner = candidates.faces, x[candidates.vertex]
     parts = closest_to_triangle(corner[:split]), closest_of_edges(corner[split:])
     return Closest(
         np.concatenate([part.weight for part in parts]),

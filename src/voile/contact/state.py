@@ -128,7 +128,9 @@ class Contact:
         if not self.itself:
             return 1.0
         began = time.perf_counter()
-        share = self.itself.layers.free_share(self.itself.widen(x), self.itself.widen(moved))
+        share = self.itself.layers.free_share(
+            self.itself.widen(x), self.itself.widen(moved), self.state.candidates
+        )
         self.seconds += time.perf_counter() - began
         return share
 

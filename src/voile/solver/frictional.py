@@ -140,8 +140,10 @@ class FrictionalSolver:
     def _by_descent(
         self, y: PETSc.Vec, wanted: float, softest: float = SOFTEST, updates: int = UPDATES
     ) -> Outcome:
-        """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update."""
+        """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update. Not
+        between layers of the shell: what is soft lets them collapse, and then no step is free."""
         contact, problem = self.contact, self.problem
+        softest = 1.0 if contact.itself else softest
         contact.freeze(problem.positions(y), problem.load_factor)
         rough, self.newton.descend, contact.softness = ROUGHEST * wanted, True, softest
         try:
