@@ -94,7 +94,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: "Progress", began: f
     start = time.perf_counter()
     _write_rest(scene, model, shell, folder, result, comm)
     report = inverse_report(result)
-    seconds = {**problem.seconds, "input_output": time.perf_counter() - start}
+    seconds = {**problem.seconds, **result.seconds, "input_output": time.perf_counter() - start}
     _summarise(
         scene, model, problem, result.simulation.path, folder, seconds, began, result=result, inverse=report
     )

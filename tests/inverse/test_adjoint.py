@@ -6,7 +6,7 @@ from inverse_shells import hanging_sheet, strip
 from mpi4py import MPI
 from test_direct import heavy_strip, on_incline, solve
 
-from voile.inverse.adjoint import Objective
+from voile.inverse.adjoint import Objective, _scaled
 from voile.inverse.direct import Direct
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
@@ -37,8 +37,9 @@ def test_the_gradient_is_that_of_the_objective(kind):
     home = Direct(target).follow().rest
     size = 1e-5 if kind == "contact" else 1e-4  # reactions stay inside their cones
     with target.obstructed():
-        objective = Objective(target, target.problem.create_vector(), regularisation=0.1, accuracy=1e-10)
-        objective.start = target.rest.state(home)
+        objective = Objective(
+            target, target.rest, target.problem.create_vector(), target.rest.state(home), 0.1, 1e-10
+        )
         z = home.copy()
         z.axpy(1.0, wave(target, 1.0, size))
         direction, gradient = wave(target, 1.7, size), z.duplicate()
@@ -61,7 +62,7 @@ def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
     target = sample("average")
     target.load(1.0)
     zero = target.problem.create_vector()
-    objective = Objective(target, zero, regularisation=0.01, accuracy=1e-10)
+    objective = Objective(target, target.rest, zero, zero, regularisation=0.01, accuracy=1e-10)
     objective.simulate(zero)
     v, w = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
     hv, hw = v.duplicate(), w.duplicate()
@@ -73,7 +74,7 @@ def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
     ahead.axpy(1e-3, v)
     objective.simulate(ahead)
     moved.axpby(1e3, -1e3, objective.state)  # dx/dz v
-    expected = moved.dot(objective._weighted(moved)) + 0.01 * v.dot(objective._weighted(v))
+    expected = moved.dot(_scaled(objective.weight, moved)) + 0.01 * v.dot(_scaled(objective.metric, v))
     assert v.dot(hv) == pytest.approx(expected, rel=1e-2)
 
 

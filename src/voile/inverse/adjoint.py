@@ -20,6 +20,7 @@ from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.discrete import Problem
+from voile.problem.rest import PanelRest, RestShape
 from voile.solver.frictional import FrictionalSolver
 from voile.solver.newton import negative_pivots
 from voile.solver.path import StaticsOptions, tolerance
@@ -31,6 +32,7 @@ LAST_RADIUS = 1e-4  # of the first one: no step improves
 SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objective by less than this share
 PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
 REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
+LEAST_AREA = 0.05  # of a rest triangle, over that of the first rest shape
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
 
 
@@ -57,6 +59,7 @@ class AdjointPath:
 
 
 Progress = Callable[[AdjointStep], None]
+Design = RestShape | PanelRest
 
 
 class Forward:
@@ -89,21 +92,28 @@ class Objective:
     """Distance of the simulation from the target as a function of the rest shape, with derivatives, and the Python
     context of its Hessian. The target must be `obstructed`."""
 
-    def __init__(self, target: Target, home: PETSc.Vec, regularisation: float = 0.0, accuracy: float = 1e-8):
-        """home: z_0; regularisation: weight of the rest shape's change; accuracy of statics: residual over the loads'
-        norm."""
-        self.target, self.problem, self.rest = target, target.problem, target.rest
+    def __init__(
+        self,
+        target: Target,
+        design: Design,
+        home: PETSc.Vec,
+        start: PETSc.Vec,
+        regularisation: float = 0.0,
+        accuracy: float = 1e-8,
+    ):
+        """home: z_0; start: state that the first simulation starts from; regularisation: weight of the rest shape's
+        change; accuracy of statics: residual over the loads' norm."""
+        self.target, self.problem, self.design = target, target.problem, design
         self.home, self.regularisation = home.copy(), regularisation
         problem = self.problem
-        self.weight = problem.mass()
-        self.weight.array[~self.rest.is_vertex] = 0.0
-        self.weight.scale(3.0 / (self.weight.sum() * problem.size() ** 2))
-        self.tangent, self.mixed = problem.create_matrix(), problem.create_matrix()
-        self.mixed.setOption(PETSc.Mat.Option.SYMMETRIC, False)
+        self.weight, self.metric = target.rest.weight(), design.weight()
+        for weight in (self.weight, self.metric):
+            weight.scale(1.0 / problem.size() ** 2)
+        self.tangent = problem.create_matrix()
         self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
         self.factor, self.accuracy = self.factors[True], accuracy
         self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
-        self.start = self.rest.state(home)  # of every simulation: the last accepted equilibrium
+        self.start = start.copy()  # of every simulation: the last accepted equilibrium
         self.began = problem.contact.state.copy() if problem.contact else None
         self.state = self.start.copy()
         self.at: PETSc.Vec | None = None
@@ -116,7 +126,9 @@ class Objective:
         the first one is not found."""
         if self.at is not None and self.at.equal(z):
             return True
-        self.rest.set(z)
+        self.design.set(z)
+        if self.design.area_ratios()[0] <= LEAST_AREA:
+            return False
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:
             contact.state = self.began.copy()
@@ -155,7 +167,7 @@ class Objective:
             path.state.copy(y)
             problem.tangent(y, self.tangent)
             self.factor.setUp()
-        self.rest.jacobian(y, self.mixed)
+        self.design.linearise(y)
         return True
 
     # ---- what TAO asks ----
@@ -163,39 +175,41 @@ class Objective:
     def evaluate(self, z: PETSc.Vec, gradient: PETSc.Vec) -> float:
         """The objective and its gradient; UNREACHABLE, with the last equilibrium's gradient, where z has none."""
         found = self.simulate(z)
-        missed, changed = self._weighted(self.state), self._weighted(z - self.home)
-        value = 0.5 * self.state.dot(missed) + 0.5 * self.regularisation * (z - self.home).dot(changed)
-        self._pull(missed, gradient)
+        missed, change = _scaled(self.weight, self.state), z - self.home
+        changed = _scaled(self.metric, change)
+        value = 0.5 * self.state.dot(missed) + 0.5 * self.regularisation * change.dot(changed)
+        self._pull(missed).copy(gradient)
         gradient.axpy(self.regularisation, changed)
         if found and value < self.best[0]:
             self.best = value, sag(self.target, self.state)
         return value if found else UNREACHABLE
 
     def mult(self, _matrix: PETSc.Mat, v: PETSc.Vec, out: PETSc.Vec) -> None:
-        """The Gauss-Newton Hessian times v; the identity on director angles, which are no design variables."""
-        image, moved = v.duplicate(), v.duplicate()
-        self.mixed.mult(v, image)
+        """The Gauss-Newton Hessian times v; the identity on entries that are no design variables."""
+        image = self.design.push(v)
+        moved = image.duplicate()
         self.factor.apply(image, moved)  # K^-1 D v: the equilibrium moves by its opposite
         self.adjoint_solves += 1
-        self._pull(self._weighted(moved), out)
+        self._pull(_scaled(self.weight, moved)).copy(out)
         out.scale(-1.0)
-        out.axpy(self.regularisation, self._weighted(v))
-        out.array[~self.rest.is_vertex] = v.array_r[~self.rest.is_vertex]
+        out.axpy(self.regularisation, _scaled(self.metric, v))
+        idle = self.design.idle()
+        out.array[idle] = v.array_r[idle]
 
-    def _weighted(self, v: PETSc.Vec) -> PETSc.Vec:
-        """M v / (M L^2)."""
-        out = v.duplicate()
-        out.pointwiseMult(self.weight, v)
-        return out
-
-    def _pull(self, v: PETSc.Vec, out: PETSc.Vec) -> None:
+    def _pull(self, v: PETSc.Vec) -> PETSc.Vec:
         """-D^T K^-T v."""
         adjoint = v.duplicate()
         self.factor.applyTranspose(v, adjoint)
         self.adjoint_solves += 1
-        self.mixed.multTranspose(adjoint, out)
+        out = self.design.pull(adjoint)
         out.scale(-1.0)
-        out.array[~self.rest.is_vertex] = 0.0
+        return out
+
+
+def _scaled(weight: PETSc.Vec, v: PETSc.Vec) -> PETSc.Vec:
+    out = v.duplicate()
+    out.pointwiseMult(weight, v)
+    return out
 
 
 def _factor(comm, symmetric: bool) -> PETSc.PC:
@@ -215,12 +229,16 @@ def minimise(
     iterations: int,
     accuracy: float = 1e-8,
     on_step: Progress | None = None,
+    design: Design | None = None,
 ) -> AdjointPath:
-    """The rest shape whose simulation is nearest to the target, from `start` (rest displacements and director angles)
-    on. Ends when it settles, or after so many iterations of TAO."""
+    """The rest shape whose simulation is nearest to the target, from `start` on: design variables, by default rest
+    displacements with director angles. Ends when it settles, or after so many iterations of TAO."""
     problem = target.problem
+    surface = design is None
+    design = design or target.rest
     with target.obstructed():
-        objective = Objective(target, start, regularisation, accuracy)
+        state = target.rest.state(start) if surface else problem.create_vector()
+        objective = Objective(target, design, start, state, regularisation, accuracy)
         z, path = start.copy(), AdjointPath(start, start)
         tao = PETSc.TAO().create(comm=problem.comm)
         tao.setOptionsPrefix("inverse_")
@@ -235,7 +253,7 @@ def minimise(
             objective.accept()
 
         tao.setHessian(accepted, hessian, hessian)
-        radius = FIRST_RADIUS * problem.size() * math.sqrt(problem.unknowns)
+        radius = FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
         tao.setInitialTrustRegionRadius(radius)
         tao.setMaximumIterations(iterations)
         tao.setTolerances(gatol=0.0, grtol=0.0, gttol=1e-6)
@@ -247,7 +265,8 @@ def minimise(
         path.reason = tao.getConvergedReason()
         objective.simulate(z)
     path.state, path.rest = objective.state, z
-    path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
+    if surface:
+        path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
     path.forward_solves, path.adjoint_solves = objective.forward.solves, objective.adjoint_solves
     return path
 

@@ -1,5 +1,6 @@
 """Inverse design from start to end: rest shape, certificate of stability, and proof by simulation."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -40,7 +41,8 @@ class InverseResult:
 
     residual (N): of the balance at the target; adjoint: where the target itself is not stable, the search for the
     nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at the adjoint method's equilibrium,
-    with its `mode`; simulation and disturbed: statics from the target and from beside it.
+    with its `mode`; simulation and disturbed: statics from the target and from beside it; seconds: of the search
+    (`inverse`) and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -52,6 +54,7 @@ class InverseResult:
     mode: PETSc.Vec
     simulation: Simulation
     disturbed: Simulation
+    seconds: dict[str, float]
 
     @property
     def stable(self) -> bool:
@@ -95,6 +98,7 @@ def solve_inverse(
     `offset` (m) from the mid-surface. Raises NotConverged where no reactions can hold it."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
+    began = time.perf_counter()
     path = Direct(target).follow(on_step)
     adjoint = None
     if not path.converged and options.method == "adjoint":
@@ -102,7 +106,7 @@ def solve_inverse(
         adjoint = minimise(
             target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
         )
-    z = adjoint.rest if adjoint else path.rest
+    z, searched = adjoint.rest if adjoint else path.rest, time.perf_counter()
     simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, options.tolerance, disturbed=True)
     if adjoint is None:
@@ -112,7 +116,10 @@ def solve_inverse(
         eigenvalue, mode = simulation.eigenvalue, problem.create_vector()
     if path.mode is not None:
         mode = path.mode
-    return InverseResult(target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed)
+    seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
+    return InverseResult(
+        target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds
+    )
 
 
 def inverse_report(result: InverseResult) -> dict:

@@ -88,11 +88,11 @@ class Problem:
             )
         return kernel
 
-    def set_rest(self, points: np.ndarray) -> None:
-        """Another rest shape (local rest vertices, 3) m, and the masses that it has."""
+    def set_rest(self, points: np.ndarray, flat: bool = False) -> None:
+        """Another rest shape (local rest vertices, 3) m, flat without folds, and the masses that it has."""
         self.part.set_rest(points)
-        self._flat = False
-        self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, False)
+        self._flat = flat
+        self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
         self._vertex_force = self._weights()
 
     def _weights(self) -> np.ndarray:
@@ -278,16 +278,23 @@ class Problem:
     def gather_triangles(self, forces: np.ndarray) -> PETSc.Vec:
         """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)
         and directors, on the unknowns."""
+        f = self.create_vector()
+        f.array[:] = self._collect @ np.bincount(
+            self._triangle_dofs().ravel(), forces.ravel(), sum(self._size)
+        )
+        return f
+
+    def spread_triangles(self, direction: PETSc.Vec) -> np.ndarray:
+        """(m, 21) the direction of the unknowns on the triangles' degrees of freedom, as in `gather_triangles`."""
+        return np.concatenate(self._spread(direction))[self._triangle_dofs()]
+
+    def _triangle_dofs(self) -> np.ndarray:
+        """(m, 21) local degrees of freedom of corners, vertices across edges and directors."""
         part = self.part
         across = part.corners.ravel()[np.maximum(part.across, 0)]
-        nodes = np.concatenate([part.corners, across], axis=1)
-        dofs = np.concatenate(
-            [(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 18), self._size[0] + part.triangle_edges],
-            axis=1,
-        )
-        f = self.create_vector()
-        f.array[:] = self._collect @ np.bincount(dofs.ravel(), forces.ravel(), sum(self._size))
-        return f
+        vertices = np.concatenate([part.corners, across], axis=1)
+        places = (3 * vertices[:, :, None] + np.arange(3)).reshape(-1, 18)
+        return np.concatenate([places, self._size[0] + part.triangle_edges], axis=1)
 
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
         """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is

@@ -19,8 +19,9 @@ from voile.problem.shell import Shell, hilbert_order, triangle_areas
 class Part:
     """One rank's share; local numbering throughout. dofs: 3*vertex + axis, then edges.
 
-    vertex, edge, triangle: indices in the input. matrix (dofs, unknowns): C, the first `owned` unknowns are the
-    rank's own, the rest ghosts whose global numbers are ghost_global. weight (m,): 1 where the triangle counts here.
+    vertex, edge, triangle, rest_vertex: indices in the input. matrix (dofs, unknowns): C, the first `owned` unknowns
+    are the rank's own, the rest ghosts whose global numbers are ghost_global. weight (m,): 1 where the triangle counts
+    here.
     """
 
     vertex: np.ndarray
@@ -32,6 +33,7 @@ class Part:
     across: np.ndarray
     points: np.ndarray
     rest_points: np.ndarray
+    rest_vertex: np.ndarray
     rest_corners: np.ndarray
     fabric: np.ndarray  # (4, m) thickness, young, poisson, density
     weight: np.ndarray
@@ -198,6 +200,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         across=across,
         points=shell.points[vertex],
         rest_points=shell.rest_points[rest_vertex],
+        rest_vertex=rest_vertex,
         rest_corners=rest_corners.reshape(-1, 3).astype(np.int32),
         fabric=fabric,
         weight=counted.astype(float),

@@ -5,8 +5,36 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.discrete import Blocks, Problem
+from voile.problem.partition import Part
 
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
+
+
+def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) areas of the rest triangles and (m, 3, 3) their gradients by the corners."""
+    x = part.rest_points[part.rest_corners]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    unit = normal / np.maximum(size, 1e-300)[:, None]
+    opposite = x[:, [2, 0, 1]] - x[:, [1, 2, 0]]
+    return 0.5 * size, 0.5 * np.cross(unit[:, None, :], opposite)
+
+
+def rest_blocks(problem: Problem, y: PETSc.Vec) -> np.ndarray:
+    """(m, 21, 21) dR/dX per triangle at the state y: rows forces, columns rest positions of its corners and of those
+    across its edges, masses included; director columns are zero."""
+    part, kernel = problem.part, problem.kernel
+    u, phi = problem._shape(y)
+    q_rest, _, _ = kernel.mixed(u, phi)
+    rest = kernel.rest_jacobian()
+    rest[:, :, 18:] = 0.0
+    blocks = np.matmul(kernel.invariants_jacobian(u, phi).transpose(0, 2, 1), np.matmul(q_rest, rest))
+    thickness, _, _, density = part.fabric
+    per_area = problem.load_factor * thickness * density / 3.0
+    gradient = rest_areas(part)[1].reshape(-1, 9)
+    force = np.tile(problem.gravity, 3)
+    blocks[:, :9, :9] -= per_area[:, None, None] * force[None, :, None] * gradient[:, None, :]
+    return np.ascontiguousarray(blocks)
 
 
 class RestShape:
@@ -27,8 +55,9 @@ class RestShape:
         self.is_vertex = np.zeros(part.owned, dtype=bool)
         columns = part.matrix[: 3 * len(part.vertex)].indices
         self.is_vertex[columns[columns < part.owned]] = True
-        self._area0 = self._areas(self.base)[0]
         self.set(zero)
+        self._area0 = rest_areas(part)[0]
+        self._matrix: PETSc.Mat | None = None
 
     def set(self, z: PETSc.Vec) -> None:
         """Gives the problem the rest shape of z, with its masses."""
@@ -43,7 +72,7 @@ class RestShape:
     def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat, at_vertices: Blocks = ()) -> None:
         """Writes dR/dX at the state y to a `create_matrix` matrix, masses included; director columns are zero.
         at_vertices: (indices, (p, 3, 3) N/m) to be added."""
-        self.problem.assemble(matrix, self._blocks(y), at_vertices)
+        self.problem.assemble(matrix, rest_blocks(self.problem, y), at_vertices)
 
     def fabric_derivative(self, y: PETSc.Vec, name: str) -> PETSc.Vec:
         """dR/dp for one factor p on the thickness, Young's modulus (per unit, absolute), Poisson's ratio or density
@@ -59,37 +88,125 @@ class RestShape:
             )
         if name in ("thickness", "density"):
             thickness, _, _, density = part.fabric
-            share = self._areas(part.rest_points)[0] / 3.0 * (density if name == "thickness" else thickness)
+            share = rest_areas(part)[0] / 3.0 * (density if name == "thickness" else thickness)
             local[:, :9] -= np.tile(problem.load_factor * problem.gravity, 3) * share[:, None]
         return problem.gather_triangles(local)
 
-    def _blocks(self, y: PETSc.Vec) -> np.ndarray:
-        """(m, 21, 21) per triangle: rows forces, columns rest positions of its corners and those across."""
-        problem, part = self.problem, self.problem.part
-        u, phi = problem._shape(y)
-        kernel = problem.kernel
-        q_rest, _, _ = kernel.mixed(u, phi)
-        rest = kernel.rest_jacobian()
-        rest[:, :, 18:] = 0.0
-        blocks = np.matmul(kernel.invariants_jacobian(u, phi).transpose(0, 2, 1), np.matmul(q_rest, rest))
-        thickness, _, _, density = part.fabric
-        per_area = problem.load_factor * thickness * density / 3.0
-        gradient = self._areas(part.rest_points)[1].reshape(-1, 9)
-        force = np.tile(problem.gravity, 3)
-        blocks[:, :9, :9] -= per_area[:, None, None] * force[None, :, None] * gradient[:, None, :]
-        return np.ascontiguousarray(blocks)
-
-    def _areas(self, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) areas of rest triangles and (m, 3, 3) their gradients by the corners."""
-        x = rest[self.problem.part.rest_corners]
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        size = np.linalg.norm(normal, axis=1)
-        unit = normal / np.maximum(size, 1e-300)[:, None]
-        opposite = x[:, [2, 0, 1]] - x[:, [1, 2, 0]]
-        return 0.5 * size, 0.5 * np.cross(unit[:, None, :], opposite)
-
     def area_ratios(self) -> tuple[float, float]:
         """Least and largest area of a rest triangle over that of the base."""
-        ratio = self._areas(self.problem.part.rest_points)[0] / self._area0
+        ratio = rest_areas(self.problem.part)[0] / self._area0
         comm = self.problem.comm
         return comm.allreduce(float(ratio.min()), op=MPI.MIN), comm.allreduce(float(ratio.max()), op=MPI.MAX)
+
+    # ---- as design variables ----
+
+    def create(self) -> PETSc.Vec:
+        """A zero vector of design variables."""
+        return self.problem.create_vector()
+
+    def weight(self) -> PETSc.Vec:
+        """Their diagonal metric, of sum 1 in each direction: the lumped mass."""
+        weight = self.problem.mass()
+        weight.array[~self.is_vertex] = 0.0
+        weight.scale(3.0 / weight.sum())
+        return weight
+
+    def linearise(self, y: PETSc.Vec) -> None:
+        """Takes dR/dX at the state y for `push` and `pull`."""
+        if self._matrix is None:
+            self._matrix = self.problem.create_matrix()
+            self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
+        self.jacobian(y, self._matrix)
+
+    def push(self, v: PETSc.Vec) -> PETSc.Vec:
+        """dR/dX v (N)."""
+        assert self._matrix is not None
+        force = v.duplicate()
+        self._matrix.mult(v, force)
+        return force
+
+    def pull(self, w: PETSc.Vec) -> PETSc.Vec:
+        """w^T dR/dX."""
+        assert self._matrix is not None
+        out = w.duplicate()
+        self._matrix.multTranspose(w, out)
+        out.array[~self.is_vertex] = 0.0
+        return out
+
+    def idle(self) -> np.ndarray:
+        """(own,) marks entries that are no design variables."""
+        return ~self.is_vertex
+
+
+class PanelRest:
+    """Plane panels as rest shape: 2D coordinates base + z, developable by construction and without rest curvature.
+
+    base (p, 2) m: of all panel vertices, on every rank; z holds two numbers for each of them, on rank 0. The problem's
+    shell must have the panels as rest shape.
+    """
+
+    def __init__(self, problem: Problem, base: np.ndarray):
+        self.problem, self.base = problem, base
+        self._blocks = np.zeros(0)
+        self.set(self.create())
+        self._area0 = self._signed()
+
+    def create(self) -> PETSc.Vec:
+        """A zero vector of design variables."""
+        size = self.base.size
+        here = size if self.problem.comm.rank == 0 else 0
+        return PETSc.Vec().createMPI((here, size), comm=self.problem.comm)
+
+    def coordinates(self, z: PETSc.Vec) -> np.ndarray:
+        """(p, 2) the panels' coordinates (m), on every rank."""
+        return self.base + self._everywhere(z)
+
+    def _everywhere(self, z: PETSc.Vec) -> np.ndarray:
+        return self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
+
+    def set(self, z: PETSc.Vec) -> None:
+        """Gives the problem the panels of z, with their masses."""
+        points = np.zeros((len(self.problem.part.rest_vertex), 3))
+        points[:, :2] = self.coordinates(z)[self.problem.part.rest_vertex]
+        self.problem.set_rest(points, flat=True)
+
+    def _signed(self) -> np.ndarray:
+        x = self.problem.part.rest_points[self.problem.part.rest_corners]
+        return 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 2]
+
+    def area_ratios(self) -> tuple[float, float]:
+        """Least and largest signed area of a rest triangle over that of the base."""
+        ratio, comm = self._signed() / self._area0, self.problem.comm
+        return comm.allreduce(float(ratio.min()), op=MPI.MIN), comm.allreduce(float(ratio.max()), op=MPI.MAX)
+
+    def weight(self) -> PETSc.Vec:
+        """Their diagonal metric, of sum 1 in each direction."""
+        weight = self.create()
+        weight.set(2.0 / self.base.size)
+        return weight
+
+    def linearise(self, y: PETSc.Vec) -> None:
+        """Takes dR/dX at the state y for `push` and `pull`."""
+        self._blocks = rest_blocks(self.problem, y)[:, :, :9].reshape(-1, 21, 3, 3)[:, :, :, :2]
+
+    def push(self, v: PETSc.Vec) -> PETSc.Vec:
+        """dR/dX v (N)."""
+        part = self.problem.part
+        moved = self._everywhere(v)[part.rest_vertex][part.rest_corners]
+        return self.problem.gather_triangles(np.einsum("tfcd,tcd->tf", self._blocks, moved))
+
+    def pull(self, w: PETSc.Vec) -> PETSc.Vec:
+        """w^T dR/dX."""
+        part, out = self.problem.part, self.create()
+        slope = np.einsum("tfcd,tf->tcd", self._blocks, self.problem.spread_triangles(w))
+        slope *= part.weight[:, None, None]  # each triangle on one rank
+        total = np.zeros_like(self.base)
+        np.add.at(total, part.rest_vertex[part.rest_corners], slope)
+        total = self.problem.comm.allreduce(total)
+        if self.problem.comm.rank == 0:
+            out.array[:] = total.ravel()
+        return out
+
+    def idle(self) -> np.ndarray:
+        """(own,) marks entries that are no design variables: none."""
+        return np.zeros(self.base.size if self.problem.comm.rank == 0 else 0, dtype=bool)
