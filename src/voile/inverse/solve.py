@@ -15,6 +15,7 @@ from voile.inverse.direct import Direct, DirectPath, DirectStep
 from voile.inverse.target import Target
 from voile.inverse.verify import Simulation, simulate
 from voile.problem.discrete import Problem
+from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
@@ -55,6 +56,7 @@ class InverseResult:
     simulation: Simulation
     disturbed: Simulation
     seconds: dict[str, float]
+    panels: PanelRest | None = None
 
     @property
     def stable(self) -> bool:
@@ -122,11 +124,50 @@ def solve_inverse(
     )
 
 
+def solve_panels(
+    problem: Problem,
+    shell: Shell | None,
+    coordinates: np.ndarray,
+    obstacles: list[Obstacle],
+    offset: float,
+    options: InverseOptions | None = None,
+    on_step: Progress | None = None,
+    on_iteration: AdjointProgress | None = None,
+) -> tuple[InverseResult, np.ndarray]:
+    """As `solve_inverse` with flat panels, the problem's rest shape, whose 2D coordinates (p, 2) m, given on every
+    rank, are the design variables: the panels that drape nearest to the target, and their coordinates."""
+    options = options or InverseOptions()
+    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
+    began = time.perf_counter()
+    path = Direct(target).follow(on_step)  # for the reactions at the target
+    target.load(1.0)
+    panels = PanelRest(problem, coordinates)
+    adjoint = minimise(
+        target,
+        panels.create(),
+        options.regularisation,
+        options.iterations,
+        options.tolerance,
+        on_iteration,
+        panels,
+    )
+    z, searched = adjoint.rest, time.perf_counter()
+    simulation = simulate(target, z, options.tolerance, panels=panels, eigenvalue=True)
+    disturbed = simulate(target, z, options.tolerance, panels=panels, disturbed=True)
+    seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
+    still = problem.create_vector()
+    result = InverseResult(
+        target, still, path, adjoint, path.residual, simulation.eigenvalue, still, simulation, disturbed, seconds,
+        panels,
+    )  # fmt: skip
+    return result, panels.coordinates(z)
+
+
 def inverse_report(result: InverseResult) -> dict:
     """Figures for the summary: see the keys."""
     target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
-    low, high = target.rest.area_ratios()
+    low, high = (result.panels or target.rest).area_ratios()
     moved = np.linalg.norm(problem.motion(result.rest), axis=1)
     return {
         "load_fraction": direct.fraction,

@@ -7,6 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.inverse.target import Target
+from voile.problem.rest import PanelRest
 from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -34,14 +35,21 @@ class Simulation:
 
 
 def simulate(
-    target: Target, z: PETSc.Vec, tolerance: float, *, disturbed: bool = False, eigenvalue: bool = False
+    target: Target,
+    z: PETSc.Vec,
+    tolerance: float,
+    *,
+    panels: PanelRest | None = None,
+    disturbed: bool = False,
+    eigenvalue: bool = False,
 ) -> Simulation:
-    """Statics under the full load with rest shape z (rest displacements and director angles), starting at the target
-    or, disturbed, a thickness off it where nothing touches. tolerance: residual over the loads' norm."""
+    """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
+    starting at the target or, disturbed, a thickness off it where nothing touches. tolerance: residual over the loads'
+    norm."""
     problem = target.problem
-    target.rest.set(z)
+    (panels or target.rest).set(z)
     with target.obstructed():
-        start = target.rest.state(z)
+        start = problem.create_vector() if panels else target.rest.state(z)
         if disturbed:
             start.axpy(DISTURBANCE * problem.thickness(), _disturbance(target))
         options = StaticsOptions(load_steps=1, tolerance=tolerance, stability=True, eigenvalue=eigenvalue)

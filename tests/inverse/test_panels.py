@@ -1,0 +1,72 @@
+"""Flat panels as design variables: derivatives, and skirts whose panels are known."""
+
+import numpy as np
+import pytest
+from inverse_shells import shell
+from mpi4py import MPI
+
+from voile.inverse.adjoint import Objective
+from voile.inverse.flatten import flatten
+from voile.inverse.panels import split
+from voile.inverse.solve import InverseOptions, solve_panels
+from voile.inverse.target import Target
+from voile.problem.discrete import Problem
+from voile.problem.rest import PanelRest
+
+
+def cone_skirt(around=24, down=8, **more):
+    """A frustum hanging from its waist, as shell with its flat panel (one, cut at the back) as rest shape."""
+    angle = 2 * np.pi * np.arange(around) / around
+    radius = np.linspace(0.12, 0.24, down + 1)
+    points = np.array([[r * np.cos(a), r * np.sin(a), -1.5 * (r - 0.12)] for r in radius for a in angle])
+    k, j = np.meshgrid(np.arange(down), np.arange(around), indexing="ij")
+    a, b = k * around + j, k * around + (j + 1) % around
+    c, d = b + around, a + around
+    triangles = np.concatenate(
+        [np.stack([a, c, b], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]
+    )
+    fixed = np.repeat(points[:, 2:] > -0.03, 3, axis=1)
+    whole = shell(points, triangles.astype(np.int32), fixed, **more)
+    flat = flatten(split(whole.triangles, whole.points))
+    whole.rest_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
+    whole.rest_triangles = flat.panels.corners.astype(np.int32)
+    whole.flat = True
+    return whole, flat
+
+
+@pytest.mark.parametrize("bending", ["average", "tan"])
+def test_gradient_by_panel_coordinates(bending):
+    whole, flat = cone_skirt(12, 4, bending=bending, young=1e7)
+    problem = Problem(whole, MPI.COMM_SELF)
+    target = Target(problem, whole, [], 0.0, 1e-3)
+    target.load(1.0)
+    panels = PanelRest(problem, flat.coordinates)
+    z, direction = panels.create(), panels.create()
+    index = np.arange(z.getSize())
+    z.array[:], direction.array[:] = 1e-4 * np.sin(index), 1e-4 * np.cos(1.7 * index)
+    objective = Objective(target, panels, panels.create(), problem.create_vector(), 0.1, 1e-10)
+    gradient = z.duplicate()
+    value = objective.evaluate(z, gradient)
+    slope, left = gradient.dot(direction), []
+    for h in (1e-1, 1e-2):
+        there = z.copy()
+        there.axpy(h, direction)
+        left.append(abs(objective.evaluate(there, there.duplicate()) - value - h * slope))
+    np.testing.assert_allclose(np.log10(left[0] / left[1]), 2.0, atol=0.2)
+    assert left[1] < 0.02 * abs(1e-2 * slope)
+
+
+def test_cone_skirt_drapes_back_from_its_flat_panel():
+    """A cone is developable: its panel is exact, and optimised panels drape nearer to the target than the exact ones."""
+    whole, flat = cone_skirt(young=1e7)
+    assert np.abs(flat.stretches - 1.0).max() < 1e-8
+    result, coordinates = solve_panels(
+        Problem(whole, MPI.COMM_SELF), whole, flat.coordinates, [], 0.0, InverseOptions(iterations=10)
+    )
+    assert result.converged, result.reason
+    assert result.adjoint is not None
+    height = np.ptp(whole.points[:, 2])
+    sag = result.simulation.sag * result.target.problem.size()
+    assert sag < 0.01 * height
+    assert result.simulation.sag < 0.7 * result.adjoint.steps[0].sag
+    assert coordinates.shape == flat.coordinates.shape
