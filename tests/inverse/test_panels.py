@@ -57,7 +57,7 @@ def test_gradient_by_panel_coordinates(bending):
 
 
 def test_cone_skirt_drapes_back_from_its_flat_panel():
-    """A cone is developable: its panel is exact, and optimised panels drape nearer to the target than the exact ones."""
+    """A cone is developable: its panel is exact, and optimised panels drape nearer to the target than exact ones."""
     whole, flat = cone_skirt(young=1e7)
     assert np.abs(flat.stretches - 1.0).max() < 1e-8
     result, coordinates = solve_panels(

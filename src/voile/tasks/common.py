@@ -1,0 +1,102 @@
+"""What all tasks share: rows of a state for the result file, values in the input's order, the summary."""
+
+import platform
+import resource
+import time
+from pathlib import Path
+
+NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
+
+
+def rows(problem, y) -> dict:
+    """What the result file takes of a state: this rank's rows and the obstacles' placements."""
+    import numpy as np
+
+    from voile.problem.contact import contact_fields
+
+    part, (u, phi) = problem.part, problem.local(y)
+    own = part.owned_vertices
+    values = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
+    if problem.directors:
+        values |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
+    if problem.contact:
+        values["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
+        bodies = problem.contact.obstacles
+        values["placements"] = np.array([body.motion.matrix(problem.load_factor) for body in bodies])
+    return values
+
+
+def gathered(problem, local):
+    """(n, ...) values in the input's order on rank 0 of each rank's local vertices; None elsewhere."""
+    import numpy as np
+
+    own = problem.part.owned_vertices
+    pieces = problem.comm.gather((problem.part.vertex[own], local[own]))
+    if pieces is None:
+        return None
+    total = np.zeros((sum(len(index) for index, _ in pieces), *local.shape[1:]))
+    for index, values in pieces:
+        total[index] = values
+    return total
+
+
+def summarise(
+    scene,
+    model,
+    problem,
+    path,
+    folder: Path,
+    seconds: dict[str, float],
+    began: float,
+    *,
+    result=None,
+    inverse=None,
+) -> None:
+    """summary.json of a run whose (last) simulation is `path`; for an inverse task with its result and figures."""
+    from voile.explain import modelled
+    from voile.results import write_summary
+
+    if model is None:
+        return
+    last = path.steps[-1] if path.steps else None
+    summary = {
+        "converged": path.converged if result is None else result.converged,
+        "reason": path.reason if result is None else result.reason,
+        "task": scene.scene.task,
+        "name": scene.scene.name,
+        "dofs": problem.unknowns,
+        "steps": len(path.steps),
+        "load_factor": last.factor if last else 0.0,
+        "newton_iterations": path.newton_iterations,
+        "residual_norm": last.residual if last else None,
+        "residual_tolerance": last.tolerance if last else None,
+        "energy": last.energies if last else {},
+        "contact": (last.contact if last else None) or NO_CONTACT,
+        "ways": [step.way for step in path.steps],
+        "stable": path.stable if result is None else result.stable and path.stable,
+        "smallest_eigenvalue": path.smallest_eigenvalue if result is None else result.eigenvalue,
+        "wall_time_s": {**seconds, "total": time.perf_counter() - began},
+        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "ranks": problem.comm.size,
+        "versions": versions(),
+        "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
+        "notes": model.notes,
+    }
+    if inverse is not None:
+        summary["inverse"] = inverse
+    write_summary(folder / "summary.json", summary)
+
+
+def versions() -> dict[str, str]:
+    """What a result is computed with."""
+    import numpy
+    from petsc4py import PETSc
+
+    import voile
+
+    return {
+        "voile": voile.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "numpy": numpy.__version__,
+        "python": platform.python_version(),
+    }

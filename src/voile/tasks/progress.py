@@ -1,0 +1,67 @@
+"""What a run says while it runs."""
+
+import sys
+import time
+
+
+class Progress:
+    """Live on a terminal, plain lines (at most one every few seconds between steps) elsewhere."""
+
+    QUIET = 5.0  # s between lines of a batch log
+
+    def __init__(self, comm):
+        self.quiet = comm.rank != 0
+        self.live = sys.stdout.isatty() and comm.size == 1  # mpirun lends its ranks a terminal
+        self.began = self.last = time.perf_counter()
+
+    def line(self, text: str) -> None:
+        """A line that stays."""
+        if not self.quiet:
+            print(("\r\033[K" if self.live else "") + text, flush=True)
+
+    def iteration(self, factor: float, iteration: int, residual: float) -> None:
+        """One Newton iteration at a load factor."""
+        now = time.perf_counter()
+        if self.quiet or (not self.live and now - self.last < self.QUIET):
+            return
+        self.last = now
+        text = (
+            f"load {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  {now - self.began:.1f} s"
+        )
+        print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
+
+    def fraction(self, step) -> None:
+        """One step of the rest shape's continuation."""
+        self.line(
+            f"load {step.fraction:.4f}  rest shape in {step.iterations} iterations  residual {step.residual:.2e} N  "
+            f"{step.negative} negative eigenvalues  {time.perf_counter() - self.began:.1f} s"
+        )
+
+    def optimisation(self, step) -> None:
+        """One iteration of the adjoint method."""
+        self.line(
+            f"adjoint {step.iteration:3d}  objective {step.objective:.3e}  gradient {step.gradient:.2e}  "
+            f"sag {step.sag:.2e}  {time.perf_counter() - self.began:.1f} s"
+        )
+
+    def estimate(self, iteration: int, misfit: float, values: dict[str, float]) -> None:
+        """One iteration of an estimation."""
+        shown = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        self.line(
+            f"estimate {iteration:3d}  misfit {misfit:.3e} m  {shown}  {time.perf_counter() - self.began:.1f} s"
+        )
+
+    def step(self, step) -> None:
+        """One converged load step."""
+        energy = sum(step.energies.values())
+        self.line(
+            f"load {step.factor:.4f}  Newton {step.iterations:3d}  residual {step.residual:.2e} N "
+            f"(<= {step.tolerance:.2e})  energy {energy:.6e} J  {_touching(step)}"
+            f"{time.perf_counter() - self.began:.1f} s"
+        )
+
+
+def _touching(step) -> str:
+    """What a step's contact is, for a line of progress; empty without."""
+    c = step.contact
+    return f"contact {c['active']} ({c['slip']} slip, {step.way})  " if c else ""
