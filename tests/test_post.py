@@ -249,3 +249,10 @@ def test_pictures_load_nothing_before_they_are_asked_for():
     code = "import sys, voile.post, voile.results; print({'pyvista', 'vtk', 'matplotlib'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_the_rest_shape_is_drawn_in_place_of_the_step(result, tmp_path):
+    """Its picture differs from the step's, and panels with vertices of their own are refused elsewhere."""
+    drawn = render(result, tmp_path / "step.png", field="strain")
+    rest = render(result, tmp_path / "rest.png", field="strain", shape="rest")
+    assert rest.stat().st_size > 5000 and rest.read_bytes() != drawn.read_bytes()

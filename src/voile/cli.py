@@ -70,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
         help="colours: displacement, strain, curvature or a stored field (contact, gap, reaction)",
     )
     sub.add_argument("--step", type=int, default=-1)
+    sub.add_argument(
+        "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
+    )
     sub.add_argument("--view", help="front, back, left, right, top, oblique")
     sub = command("export", _export, "a shape as obj, ply, vtu or glb")
     sub.add_argument("file", type=Path)
@@ -109,7 +112,7 @@ def _render(args: argparse.Namespace) -> None:
 
     folder = args.file if args.file.is_dir() else args.file.parent
     out = args.output or folder / f"{args.field}.png"
-    render(args.file, out, field=args.field, step=args.step, view=args.view)
+    render(args.file, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
     print(out)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,15 @@ import numpy as np
 from voile.errors import InputError
 from voile.post import contact
 from voile.post.camera import look, parse_scene, upright
-from voile.post.quantities import Quantity, available, boundary_edges, hinge_angles, hinges, quantity
+from voile.post.quantities import (
+    Quantity,
+    available,
+    boundary_edges,
+    hinge_angles,
+    hinges,
+    quantity,
+    vertex_curvature,
+)
 from voile.results import Result, read_result
 
 if TYPE_CHECKING:
@@ -32,6 +41,7 @@ def render(
     view: str | tuple[float, float] | None = None,
     size: tuple[int, int] = (1600, 1200),
     outline: bool = True,
+    shape: str = "step",
 ) -> Path:
     """Draw a step of the result `path` coloured by `field` into `out_png`, without an X server.
 
@@ -40,6 +50,7 @@ def render(
     view: see `voile.post.camera.look`. size: width, height in pixels. outline: also draw the
     undeformed shape's boundary, and its surface as a light ghost where it is far from the drawn one
     and no obstacle is in the picture.
+    shape: "rest" draws the rest shape in place of the step's, without obstacles.
     Returns the picture's path. Raises InputError for a field, view or step that is not there, or a file that
     cannot be written.
     """
@@ -57,14 +68,18 @@ def render(
             raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
         scene = parse_scene(result.scene_text)
         points, shown = result.points(step), quantity(result, field, step)
-        everything = np.concatenate([points, result.start]) if outline else points
         bodies = contact.surfaces(result, step)
+        if shape == "rest":
+            points, bodies = _rest(result), []
+            if shown.name == "curvature" and shown.location == "point":
+                shown = replace(shown, values=vertex_curvature(points, result.triangles)[1])
+        everything = np.concatenate([points, result.start]) if outline else points
         camera = look(contact.framed(everything, bodies), upright(scene), view, size)
         plotter = _plotter(size)
         try:
             contact.draw_bodies(plotter, bodies)
             _draw_shape(plotter, points, result.triangles, shown, size)
-            if field in contact.ARROWS and "reaction" in result.point_fields:
+            if shape != "rest" and field in contact.ARROWS and "reaction" in result.point_fields:
                 contact.draw_reactions(plotter, points, result.field("reaction", step))
             if outline:
                 _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
@@ -76,6 +91,15 @@ def render(
         finally:
             plotter.close()
     return out
+
+
+def _rest(result: Result) -> np.ndarray:
+    """(n, 3) rest positions; InputError where the rest shape has vertices of its own."""
+    if result.rest_triangles is not result.triangles and not np.array_equal(
+        result.rest_triangles, result.triangles
+    ):
+        raise InputError(f"{result.path}: the rest shape is flat panels: see the pattern's pictures")
+    return result.rest
 
 
 def _plotter(size: tuple[int, int]) -> Any:
