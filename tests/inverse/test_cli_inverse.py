@@ -1,0 +1,137 @@
+"""task = inverse through the command line: files, figures, ranks, and what is refused."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from inverse_shells import grid
+from test_direct import tube
+
+from voile.mesh import read_mesh, write_obj
+from voile.results import read_result
+
+ROD = """
+[[obstacle]]
+shape = "cylinder"
+center = [0.0, 0.0, 0.0]
+axis = [0.0, 0.0, 1.0]
+radius = 0.0995
+friction = {friction}
+"""
+SCENE = """
+[scene]
+name = "{name}"
+task = "inverse"
+[shell]
+mesh = "target.obj"
+bending = "{bending}"
+young = {young}
+thickness = 1.0e-3
+density = 300.0
+[loads]
+gravity = [0.0, 0.0, -9.81]
+{held}
+[inverse]
+{inverse}
+"""
+
+
+def scene(folder, held, *, bending="tan", young=1e7, inverse="", name="test"):
+    text = SCENE.format(held=held, bending=bending, young=young, inverse=inverse, name=name)
+    (folder / "scene.toml").write_text(text)
+
+
+def command(*options):
+    return [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out", *options]
+
+
+def run(folder, *options):
+    done = subprocess.run(command(*options), cwd=folder, capture_output=True, text=True, timeout=200)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.fixture
+def on_a_rod(tmp_path):
+    """A tube held by friction, as a scene in a folder."""
+    write_obj(tmp_path / "target.obj", *tube())
+    scene(tmp_path, ROD.format(friction=0.5))
+    return tmp_path
+
+
+def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
+    code, said = run(on_a_rod)
+    assert code == 0, said
+    summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
+    found = summary["inverse"]
+    assert summary["converged"] and summary["stable"] and summary["task"] == "inverse"
+    assert found["sag"] < 1e-8 and found["sag_disturbed"] < 1e-6
+    assert found["reactions"]["least_margin"] > 0.0 and found["reactions"]["least_friction"] < 0.5
+    target = read_mesh(on_a_rod / "target.obj").points
+    rest = read_mesh(on_a_rod / "out" / "rest.obj").points
+    with read_result(on_a_rod / "out") as result:
+        np.testing.assert_array_equal(result.points(0), target)
+        np.testing.assert_allclose(result.rest, rest, atol=1e-15)
+        weight = result.field("reaction", 0)[:, 2].sum()
+    assert weight == pytest.approx(found["reactions"]["force"][2], rel=1e-12)
+    # the program's own statics with the rest shape found stays at the target
+    (on_a_rod / "scene.toml").write_text(
+        (on_a_rod / "scene.toml")
+        .read_text()
+        .replace('task = "inverse"', "")
+        .replace('"target.obj"', '"target.obj"\nrest = "out/rest.obj"')
+        .replace("[inverse]", "[statics]\nload_steps = 1")
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "again"],
+        cwd=on_a_rod, capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with read_result(on_a_rod / "again") as again:
+        assert np.abs(again.points(-1) - target).max() < 2e-3  # it closes the gap of half a millimetre
+
+
+def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun):
+    assert run(on_a_rod)[0] == 0
+    one = read_mesh(on_a_rod / "out" / "rest.obj").points
+    for ranks in (2, 4):
+        done = mpirun(ranks, ["-wdir", str(on_a_rod), *command()], 200)
+        assert done.returncode == 0, done.stderr
+        np.testing.assert_allclose(read_mesh(on_a_rod / "out" / "rest.obj").points, one, atol=1e-9)
+
+
+def test_a_target_that_no_friction_holds_is_refused_with_the_least_that_would_do(on_a_rod):
+    scene(on_a_rod, ROD.format(friction=0.0))
+    code, said = run(on_a_rod)
+    assert code == 3 and "no reactions in the cones" in said and said.count("voile:") == 1
+
+
+def test_a_target_deep_inside_its_obstacle_is_refused(on_a_rod):
+    scene(on_a_rod, ROD.format(friction=0.5).replace("0.0995", "0.11"))
+    code, said = run(on_a_rod)
+    assert code == 2 and "m deep inside" in said and "vertex" in said
+
+
+def test_estimating_with_an_unknown_rest_shape_is_refused(on_a_rod):
+    scene(on_a_rod, "[[fix]]\nselect = { all = true }", inverse='estimate = ["young"]')
+    code, said = run(on_a_rod)
+    assert code == 2 and "needs shell.rest" in said
+
+
+def test_soft_cloth_is_told_unstable_and_its_last_stable_rest_shape_is_kept(tmp_path):
+    """A standing strip buckles under its own weight; the direct method ends there with the mode in the results."""
+    points, triangles = grid(20, 2, 0.3, 0.03)
+    write_obj(tmp_path / "target.obj", points, triangles)
+    held = "[[fix]]\nselect = { box = [[-1, -1, -1], [0.016, 1, 1]] }\nclamp = true"
+    scene(tmp_path, held, young=2e7, inverse='method = "direct"')
+    text = (tmp_path / "scene.toml").read_text().replace("[0.0, 0.0, -9.81]", "[-9.81, 0.0, 0.0]")
+    (tmp_path / "scene.toml").write_text(text)
+    code, said = run(tmp_path)
+    assert code == 3 and "stability is lost" in said
+    found = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
+    assert 0.0 < found["load_fraction"] <= found["critical_fraction"] < 1.0
+    with read_result(tmp_path / "out") as result:
+        mode = result.field("mode", 0)
+    assert np.abs(mode).max() == pytest.approx(1.0) and np.abs(mode[:, 2]).max() > 0.9
+    assert (tmp_path / "out" / "rest.obj").is_file()
