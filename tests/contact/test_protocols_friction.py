@@ -26,12 +26,10 @@ def test_dragged_sheet(friction):
     ],
 )
 def test_capstan(degrees, friction):
-    """T_pull = T_hold exp(mu phi) while all of the strip slips."""
+    """T_pull = T_hold exp(mu phi) when all of the strip slips."""
     strip = protocols.capstan(degrees, friction, max(60, 3 * degrees // 4))
     assert strip.path.converged, strip.path.reason
-    assert strip.pulled == pytest.approx(
-        len(strip.pulled) * [np.exp(friction * np.radians(degrees))], rel=0.01
-    )
+    assert strip.pulled[-1] == pytest.approx(np.exp(friction * np.radians(degrees)), rel=0.01)
 
 
 @pytest.mark.parametrize(("degrees", "friction"), [(90, 0.5), pytest.param(180, 1.0, marks=pytest.mark.slow)])
