@@ -149,7 +149,7 @@ def _solve(
 ) -> tuple[LoadStep | None, Outcome]:
     """The equilibrium at the problem's load factor; no step where there is none."""
     problem, snes = solver.problem, solver.snes
-    iterations = 0
+    iterations, way = 0, ""
     for _ in range(ROUNDS):
         outcome = solver.solve(y, tolerance(problem, y, options), ways)
         iterations += solver.iterations
@@ -157,6 +157,7 @@ def _solve(
         path.seconds |= {"linear_solve": solver.seconds, "contact": solver.contact.seconds}
         if not outcome.converged:
             return None, outcome
+        way = way or outcome.way  # the first one found it, later ones only sharpen it
         norm, asked = snes.getFunctionNorm(), snes.getTolerances()[1]
         if norm <= tolerance(problem, y, options):
             break
@@ -168,7 +169,7 @@ def _solve(
         problem.energies(y),
         solver.semismooth.negative,
         contact_report(problem, y),
-        outcome.way,
+        way,
     )
     return done, outcome
 
