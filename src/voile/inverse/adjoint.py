@@ -17,6 +17,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.errors import NotConverged
+from voile.inverse.developable import DevelopableRest
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.discrete import Problem
@@ -59,7 +60,7 @@ class AdjointPath:
 
 
 Progress = Callable[[AdjointStep], None]
-Design = RestShape | PanelRest
+Design = RestShape | PanelRest | DevelopableRest
 
 
 class Forward:
@@ -126,7 +127,12 @@ class Objective:
         the first one is not found."""
         if self.at is not None and self.at.equal(z):
             return True
-        self.design.set(z)
+        try:
+            self.design.set(z)
+        except NotConverged:  # no developable shape is near
+            if self.at is None:
+                raise
+            return False
         if self.design.area_ratios()[0] <= LEAST_AREA:
             return False
         y, contact = self.start.copy(), self.problem.contact
@@ -234,8 +240,8 @@ def minimise(
     """The rest shape whose simulation is nearest to the target, from `start` on: design variables, by default rest
     displacements with director angles. Ends when it settles, or after so many iterations of TAO."""
     problem = target.problem
-    surface = design is None
     design = design or target.rest
+    surface = not isinstance(design, PanelRest)
     with target.obstructed():
         state = target.rest.state(start) if surface else problem.create_vector()
         objective = Objective(target, design, start, state, regularisation, accuracy)

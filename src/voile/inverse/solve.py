@@ -11,6 +11,7 @@ from petsc4py import PETSc
 from voile.contact.obstacles import Obstacle
 from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
+from voile.inverse.developable import DevelopableRest
 from voile.inverse.direct import Direct, DirectPath, DirectStep
 from voile.inverse.target import Target
 from voile.inverse.verify import Simulation, simulate
@@ -19,6 +20,7 @@ from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
+TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
 
 @dataclass
@@ -26,7 +28,7 @@ class InverseOptions:
     """friction: reactions in Coulomb's cones, else along the normal; contact_tolerance (m): target vertices nearer
     than this to an obstacle may carry a reaction; tolerance: residual of simulations over the loads' norm; method:
     "direct", or "adjoint" to go on where the target itself is not stable, with the weight `regularisation` of the rest
-    shape's change, for `iterations` at most."""
+    shape's change, for `iterations` at most; developable: the rest shape has no angle defect inside."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
@@ -34,6 +36,7 @@ class InverseOptions:
     method: str = "adjoint"
     regularisation: float = 1e-3
     iterations: int = 20
+    developable: bool = False
 
 
 @dataclass
@@ -57,6 +60,7 @@ class InverseResult:
     disturbed: Simulation
     seconds: dict[str, float]
     panels: PanelRest | None = None
+    trade: list[dict[str, float]] | None = None
 
     @property
     def stable(self) -> bool:
@@ -95,9 +99,11 @@ def solve_inverse(
     options: InverseOptions | None = None,
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
+    exempt: np.ndarray | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
-    `offset` (m) from the mid-surface. Raises NotConverged where no reactions can hold it."""
+    `offset` (m) from the mid-surface. exempt: vertices of the shell that may have an angle defect in a developable rest
+    shape, beside boundaries and seams. Raises NotConverged where no reactions can hold the target."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
     began = time.perf_counter()
@@ -108,7 +114,12 @@ def solve_inverse(
         adjoint = minimise(
             target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
         )
-    z, searched = adjoint.rest if adjoint else path.rest, time.perf_counter()
+    z = adjoint.rest if adjoint else path.rest
+    trade = None
+    if options.developable:
+        target.load(1.0)
+        z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
+    searched = time.perf_counter()
     simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, options.tolerance, disturbed=True)
     if adjoint is None:
@@ -120,8 +131,41 @@ def solve_inverse(
         mode = path.mode
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
     return InverseResult(
-        target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds
+        target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade
     )
+
+
+def _make_developable(
+    target: Target,
+    shell: Shell | None,
+    exempt: np.ndarray | None,
+    z: PETSc.Vec,
+    options: InverseOptions,
+    on_iteration: AdjointProgress | None,
+) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float]]]:
+    """From a rest shape z to a developable one whose simulation is nearest to the target, and the trade between them:
+    largest angle defect (rad) and sag on the straight way from one to the other."""
+    design = DevelopableRest(target, shell, exempt)
+    design.set(z)
+    adjoint = minimise(
+        target,
+        design.projected,
+        options.regularisation,
+        options.iterations,
+        options.tolerance,
+        on_iteration,
+        design,
+    )
+    design.set(adjoint.rest)
+    found, trade = design.projected.copy(), []
+    found.array[design.idle()] = adjoint.state.array_r[design.idle()]
+    for share in TRADE:
+        between = z.copy()
+        between.axpby(share, 1.0 - share, found)
+        reached = simulate(target, between, options.tolerance).sag
+        target.rest.set(between)
+        trade.append({"share": share, "defect": design.largest_defect(), "sag": reached})
+    return found, adjoint, trade
 
 
 def solve_panels(
@@ -184,6 +228,11 @@ def inverse_report(result: InverseResult) -> dict:
         "rest_displacement": problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX),
         "rest_area_ratio": [low, high],
         "reactions": _reactions(target),
+        **(
+            {"developability": result.trade, "largest_defect": result.trade[-1]["defect"]}
+            if result.trade
+            else {}
+        ),
     }
 
 
