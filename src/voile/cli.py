@@ -74,9 +74,11 @@ def _parser() -> argparse.ArgumentParser:
         "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
     )
     sub.add_argument("--view", help="front, back, left, right, top, oblique")
-    sub = command("export", _export, "a shape as obj, ply, vtu or glb")
+    sub = command("export", _export, "a shape as obj, ply, vtu or glb, a sewing pattern as svg or dxf")
     sub.add_argument("file", type=Path)
-    sub.add_argument("output", type=Path)
+    where = sub.add_mutually_exclusive_group(required=True)
+    where.add_argument("output", type=Path, nargs="?")
+    where.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
     sub.add_argument("--step", type=int, default=-1)
     sub = command("friction", _friction, "one discrete frictional contact problem, FCLIB local form")
     sub.add_argument("problem", type=Path)
@@ -119,7 +121,9 @@ def _render(args: argparse.Namespace) -> None:
 def _export(args: argparse.Namespace) -> None:
     from voile.post import export
 
-    print(export(args.file, args.output, args.step))
+    folder = args.file if args.file.is_dir() else args.file.parent
+    name = "pattern" if args.to in ("svg", "dxf") else "shape"
+    print(export(args.file, args.output or folder / f"{name}.{args.to}", args.step))
 
 
 def _read(args: argparse.Namespace):

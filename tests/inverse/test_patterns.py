@@ -1,59 +1,14 @@
-"""Panels, their flattening and the pattern: cuts, isometries of developable shapes, seams, files read back."""
+"""Panels: where a surface is cut, and how it is laid flat."""
 
 import numpy as np
 import pytest
 from mesh_helpers import generator
+from pattern_shapes import cylinder, gores, octahedron, skirt, torus
 
 from voile.errors import InputError
 from voile.inverse.flatten import distortion, flatten, flatten_disc
 from voile.inverse.panels import Panels, split
 from voile.mesh import build_topology
-
-patterns = generator("patterns")
-
-
-def skirt(**sizes):
-    """A cone's points and triangles: developable exactly, its triangles are those of a prismatic cone."""
-    return generator("skirt").skirt(size=0.05, **sizes)[:2]
-
-
-def gores(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Four panels around the y axis; seams at 45 degrees from the axes."""
-    x, _, z = points[triangles].mean(axis=1).T
-    around = (np.arctan2(x, z) + np.pi / 4) / (np.pi / 2)
-    return np.floor(around).astype(int) % 4, ("front", "left", "back", "right")
-
-
-def hat() -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, tuple[str, ...]]]:
-    """A hemisphere of radius 0.1 m and a plane brim of the same ring of vertices, with their groups."""
-    points, crown = generator("hemisphere").hemisphere(radius=0.1, hole=0.0, size=0.02)
-    rim = np.flatnonzero(abs(points[:, 2]) < 1e-12)
-    rim = rim[np.argsort(np.arctan2(points[rim, 1], points[rim, 0]))]
-    n, around = len(rim), np.roll(np.arange(len(rim)), -1)
-    outer = len(points) + np.arange(n)
-    brim = np.concatenate(
-        [np.column_stack([rim, outer, rim[around]]), np.column_stack([rim[around], outer, outer[around]])]
-    )
-    group = np.repeat([0, 1], [len(crown), len(brim)])
-    return (
-        np.concatenate([points, 1.6 * points[rim]]),
-        np.concatenate([crown, brim]),
-        (group, ("crown", "brim")),
-    )
-
-
-def torus() -> tuple[np.ndarray, np.ndarray]:
-    uv, triangles = patterns.grid(16, 8)
-    a, b = 2 * np.pi * uv.T
-    points = np.column_stack([(3 + np.cos(b)) * np.cos(a), (3 + np.cos(b)) * np.sin(a), np.sin(b)])
-    return patterns.weld(points, triangles, 1e-6)
-
-
-def octahedron() -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([np.eye(3), -np.eye(3)])
-    return points, np.array(
-        [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-    )
 
 
 def edge_errors(panels: Panels, flat: np.ndarray) -> np.ndarray:
@@ -125,10 +80,6 @@ def test_a_group_in_two_pieces_gives_two_numbered_panels():
 
 
 # ---- flattening ----
-
-
-def cylinder():
-    return generator("cylinder").cylinder(radius=0.2, length=0.5, sector=150.0, size=0.04)[:2]
 
 
 @pytest.mark.parametrize("shape", [skirt, cylinder])

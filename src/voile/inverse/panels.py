@@ -54,13 +54,15 @@ def split(
     points: np.ndarray,
     groups: Groups | None = None,
     seams: np.ndarray | None = None,
+    cut_open: bool | None = None,
     back: Sequence[float] = BACK,
 ) -> Panels:
     """Cut the surface `triangles` (m, 3), `points` (n, 3) in metres, into discs.
 
     groups: index (m,) and names, a panel for each connected piece of a group; seams: (k, 2) vertex pairs of the
-    edges to cut, beside those between groups. With neither, each piece that is no disc is cut along shortest
-    paths between its boundary loops, at the side `back` where several are alike.
+    edges to cut, beside those between groups. cut_open: whether a piece that is no disc is cut along shortest
+    paths between its boundary loops, at the side `back` where several are alike; by default only where there are
+    neither groups nor seams.
     Raises InputError for an edge of more than two triangles or clashing orientations, a seam edge that is not
     inside the surface, and a panel that is no disc.
     """
@@ -74,7 +76,7 @@ def split(
         cut[edge[groups[0][half // 3] != groups[0][other // 3]]] = True
     if seams is not None:
         cut[_edges_at(topology.edges, np.asarray(seams), np.bincount(edge, minlength=len(cut)) > 0)] = True
-    if groups is None and seams is None:
+    if cut_open if cut_open is not None else groups is None and seams is None:
         cut = _cut_to_discs(triangles, points, cut, np.asarray(back, dtype=float))
     corners, vertex, panel = _pieces(triangles, cut)
     names = _names(panel, groups)
@@ -178,7 +180,7 @@ def _check_discs(corners: np.ndarray, panel: np.ndarray, names: tuple[str, ...],
     open_ends = f"; seams end at the vertices {', '.join(map(str, ends[:8]))}" if len(ends) else ""
     raise InputError(
         f"panel {names[wrong[0]]!r} is no disc, it has {loops} borders and {handles} handles{open_ends}; a panel to be "
-        "laid flat has one border: give seams that close, or neither groups nor seams for an automatic cut"
+        "laid flat has one border: give seams that close, or let it be cut open"
     )
 
 

@@ -1,6 +1,7 @@
-"""Triangle meshes: reading, checks, rest shapes, seams, selections and topology. Lengths are in metres."""
+"""Triangle meshes: reading, checks, rest shapes, seams, selections, topology, patterns. Lengths are in metres."""
 
 from voile.mesh.obj import METRES, write_obj
+from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
 from voile.mesh.select import select
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
@@ -8,7 +9,11 @@ from voile.mesh.topology import Topology, boundary_loops, build_topology
 
 __all__ = [
     "METRES",
+    "Notches",
+    "Pattern",
+    "Piece",
     "Rest",
+    "SewnSeam",
     "Stitches",
     "Surface",
     "Topology",

@@ -13,14 +13,16 @@ import numpy as np
 
 from voile.errors import InputError
 from voile.post.contact import surfaces
+from voile.post.pattern_dxf import write_dxf
+from voile.post.pattern_svg import write_svg
 from voile.post.quantities import quantity
-from voile.results import Result, read_result
+from voile.results import Result, read_pattern, read_result
 
 if TYPE_CHECKING:
     import pyvista
 
 FORMATS = (".obj", ".ply", ".vtu", ".glb")
-PATTERNS = (".svg", ".dxf")
+PATTERNS = {".svg": write_svg, ".dxf": write_dxf}
 
 
 def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int = -1) -> Path:
@@ -28,18 +30,19 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
 
     obj: the shape with its groups; ply: the shape in double precision; vtu: the shape with every stored field
     and displacement, strain, curvature, and the obstacles in a file of their own, NAME-obstacles.vtu; glb: the
-    shape and the obstacles with vertex normals, for viewers and web pages (single precision). Raises InputError
-    for another extension, a step that is not there, or a file that cannot be written.
+    shape and the obstacles with vertex normals, for viewers and web pages (single precision); svg, dxf: the sewing
+    pattern, whatever the step. Raises InputError for another extension, a result without pattern for
+    those two, a step that is not there, or a file that cannot be written.
     """
     out = Path(out)
     kind = out.suffix.lower()
     if kind in PATTERNS:
-        raise InputError(
-            f"{out}: {kind[1:]} holds sewing patterns; this result has a draped shape and no pattern, "
-            f"allowed: {_list(FORMATS)}"
-        )
+        PATTERNS[kind](out, read_pattern(path))
+        return out
     if kind not in FORMATS:
-        raise InputError(f"{out}: unknown format {kind or 'without extension'!r}; allowed: {_list(FORMATS)}")
+        raise InputError(
+            f"{out}: unknown format {kind or 'without extension'!r}; allowed: {_list((*FORMATS, *PATTERNS))}"
+        )
     with read_result(path) as result:
         if not -result.n_steps <= step < result.n_steps:
             raise InputError(

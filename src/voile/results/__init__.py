@@ -1,6 +1,8 @@
-"""Results of a run: the file `result.vtkhdf` and `summary.json`."""
+"""Results of a run: the file `result.vtkhdf`, `summary.json` and, for panels, `pattern.json`."""
 
+from voile.mesh import Pattern, Piece
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
+from voile.results.pattern import read_pattern, write_pattern
 from voile.results.reader import Restart, Result, read_result
 from voile.results.static import Body, StaticMesh
 from voile.results.summary import read_summary, write_summary
@@ -11,12 +13,16 @@ __all__ = [
     "POINT_FIELDS",
     "Body",
     "Field",
+    "Pattern",
+    "Piece",
     "Restart",
     "Result",
     "ResultWriter",
     "StaticMesh",
     "prepare_output",
+    "read_pattern",
     "read_result",
     "read_summary",
+    "write_pattern",
     "write_summary",
 ]

@@ -1,0 +1,73 @@
+"""pattern.dxf: a sewing pattern for apparel CAD, in millimetres, with the layers of ASTM D6673 (AAMA)."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.results import Pattern, Piece
+
+CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT = "1", "2", "4", "7", "8", "14", "15"
+LETTER = 8.0  # mm
+NAME = 31  # characters of a block's name in R12
+
+
+def write_dxf(path: str | Path, pattern: Pattern) -> None:
+    """Write the pattern as DXF R12 (AC1009): one BLOCK for each piece, inserted once at the origin.
+
+    Layers: 1 cut line, 2 turn points, 4 notches (a point on the sew line), 7 grain line, 14 sew line, 15 text; of 8,
+    internal lines, there are none. Raises InputError if the file cannot be written.
+    """
+    from ezdxf.document import Drawing
+
+    document = Drawing.new("R12")  # ezdxf.new would set units, which R12 cannot hold
+    for layer in (CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT):
+        document.layers.add(layer)
+    names = _block_names([piece.name for piece in pattern.pieces])
+    space = document.modelspace()
+    for k, (piece, name) in enumerate(zip(pattern.pieces, names, strict=True)):
+        block = document.blocks.new(name)
+        _draw(block, piece)
+        for seam in pattern.seams:
+            for index, side in zip(seam.pieces, seam.sides, strict=True):
+                if index == k:
+                    run = 1e3 * piece.points[side]
+                    _write(block, run[len(run) // 2], f"Seam: {seam.label}")
+        space.add_blockref(name, (0, 0), dxfattribs={"layer": CUT})
+    _write(space, [0.0, -3 * LETTER], "Units: METRIC")
+    text = io.StringIO()
+    document.write(text)
+    try:
+        Path(path).write_text(text.getvalue(), encoding="cp1252", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _block_names(names: list[str]) -> list[str]:
+    """Names as R12 allows them: capital letters, digits, - and _; numbered where they would be alike."""
+    plain = [
+        "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "_" for c in n.upper()) for n in names
+    ]
+    short = [name[:NAME] for name in plain]
+    return [f"{n[: NAME - 4]}-{k:03d}" if short.count(n) > 1 else n for k, n in enumerate(short, 1)]
+
+
+def _draw(block, piece: Piece) -> None:
+    for layer, line in (*((CUT, ring) for ring in piece.cut), (SEW, piece.points[piece.outline])):
+        block.add_polyline2d((1e3 * line).tolist(), close=True, dxfattribs={"layer": layer})
+    for layer, points in ((TURN, piece.points[piece.turns]), (NOTCH, piece.notches.points)):
+        for point in (1e3 * points).tolist():
+            block.add_point(point, dxfattribs={"layer": layer})
+    low, high = (1e3 * piece.grain).tolist()
+    block.add_line(low, high, dxfattribs={"layer": GRAIN})
+    for point, label in zip(1e3 * piece.notches.points, piece.notches.labels, strict=True):
+        _write(block, point, f"Notch: {label}", 0.5)
+    at = 1e3 * piece.grain.mean(axis=0)
+    for k, line in enumerate((f"Piece Name: {piece.name}", "Quantity: 1")):
+        _write(block, at + np.array([LETTER, -1.5 * k * LETTER]), line)
+
+
+def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0) -> None:
+    attributes = {"layer": TEXT, "height": letters * LETTER, "insert": (float(at[0]), float(at[1]))}
+    space.add_text(text, dxfattribs=attributes)

@@ -1,0 +1,97 @@
+"""pattern.png: the pieces of a pattern coloured by their distortion, with names, grain, notches and seam labels."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.post.pattern_svg import arrows, label_place, notch_lines
+from voile.results import Pattern, Piece
+
+INK, SEAM, NOTCH, CLOTH = "#1b1f24", "#1f5fa8", "#b3261e", "#f6f3ea"
+BOX = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.0}
+EXACT = 1e-6  # below this distortion there is nothing to colour
+LETTER = 0.012  # length of marks, of the drawing's size
+
+
+def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> None:
+    """Draw the pattern as PNG, `width` inches wide. Distortion of a triangle: the larger of s1 - 1 and 1 - s2.
+
+    Raises InputError if the file cannot be written.
+    """
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
+    low, size = everything.min(axis=0), np.ptp(everything, axis=0)
+    height = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
+    figure, axes = pyplot.subplots(figsize=(width, height), layout="constrained")
+    shares = [np.maximum(p.stretches[:, 0] - 1, 1 - p.stretches[:, 1]) for p in pattern.pieces]
+    worst = max(float(share.max()) for share in shares)
+    # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
+    limit = max(float(np.percentile(np.concatenate(shares), 99)), EXACT)
+    letter, scale = LETTER * max(size), 0.86 * width * 72 / size[0]  # m; points per m
+    for piece, share in zip(pattern.pieces, shares, strict=True):
+        colours = _draw_piece(axes, piece, share, limit, letter)
+        _write_name(axes, piece, _percent(share.max()), scale)
+    for seam in pattern.seams:
+        for index, side, turn in zip(seam.pieces, seam.sides, (1, -1), strict=True):
+            at, inward = label_place(pattern.pieces[index].points[side], turn)
+            style = {
+                "color": SEAM,
+                "fontsize": 9,
+                "weight": "bold",
+                "ha": "center",
+                "va": "center",
+                "bbox": BOX,
+            }
+            axes.text(*(at + 1.4 * letter * inward), seam.label, **style)
+    axes.set_aspect("equal")
+    axes.set_xlim(low[0] - letter, low[0] + size[0] + letter)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_xlabel("m")
+    count = ", ".join(
+        f"{len(things)} {name}{'s' * (len(things) != 1)}"
+        for name, things in (("panel", pattern.pieces), ("seam", pattern.seams))
+    )
+    axes.set_title(f"{count}; largest distortion: {_percent(worst)}", loc="left", fontsize=11, color=INK)
+    if worst > EXACT:
+        figure.colorbar(colours, label="distortion [%]", shrink=0.6, pad=0.01, extend="max")
+    try:
+        figure.savefig(path, dpi=160)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        pyplot.close(figure)
+
+
+def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float) -> Any:
+    """Cloth, distortion (f,) and lines of a piece; returns what the colour bar needs."""
+    for k, ring in enumerate(piece.cut):
+        axes.fill(*ring.T, facecolor="white" if k else CLOTH, edgecolor=INK, linewidth=0.9)
+    colours = axes.tripcolor(
+        *piece.points.T, piece.triangles, 100 * share, cmap="YlGnBu", vmin=0, vmax=100 * limit
+    )
+    outline = piece.points[piece.outline]
+    axes.plot(*np.vstack([outline, outline[:1]]).T, color=SEAM, linewidth=0.8)
+    for line in notch_lines(piece, letter):
+        axes.plot(*line.T, color=NOTCH, linewidth=1.2)
+    for line in (piece.grain, *arrows(piece.grain, letter)):
+        axes.plot(*line.T, color=INK, linewidth=0.9)
+    axes.plot(*piece.points[piece.turns].T, "x", color=INK, markersize=4, markeredgewidth=0.8)
+    return colours
+
+
+def _write_name(axes: Any, piece: Piece, figure: str, scale: float) -> None:
+    """Name and distortion on the grain line, as small as the piece asks for; scale: points per m."""
+    room = 0.7 * np.ptp(piece.points[:, 0]) * scale
+    size = float(np.clip(room / (0.6 * max(len(piece.name), len(figure))), 5.0, 10.0))
+    style = {"color": INK, "fontsize": size, "ha": "center", "va": "center", "linespacing": 1.3, "bbox": BOX}
+    axes.text(*piece.grain.mean(axis=0), f"{piece.name}\n{figure}", **style)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share > EXACT else "exact"

@@ -1,0 +1,147 @@
+"""pattern.svg: a sewing pattern in millimetres at true scale, one group of each kind of line, named as in the DXF."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.results import Pattern
+
+MARGIN = 20.0  # mm
+LETTER = 0.011  # height of seam labels, of the drawing's size
+LABEL = 0.44  # of a seam: clear of its notches, and of a grain line through its middle
+BAR = 100.0  # mm, the scale bar to check a print with
+# layer: (number of ASTM D6673, colour, width in drawing sizes / 1000)
+LAYERS = {
+    "cut": (1, "#1b1f24", 1.1),
+    "notch": (4, "#b3261e", 1.1),
+    "grain": (7, "#5b6570", 0.8),
+    "internal": (8, "#5b6570", 0.6),
+    "sew": (14, "#1f5fa8", 0.8),
+    "text": (15, "#1b1f24", 0.0),
+}
+
+
+def write_svg(path: str | Path, pattern: Pattern) -> None:
+    """Write the pattern; InputError if the file cannot be written.
+
+    One user unit is a millimetre; the groups `cut`, `notch`, `grain`, `internal` (turn points), `sew` and `text` hold
+    an element for each piece, `cut-NAME` and so on.
+    """
+    everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
+    low, size = 1e3 * everything.min(axis=0), 1e3 * np.ptp(everything, axis=0)
+    letter = LETTER * max(size)
+    width, height = size + 2 * MARGIN + [0, 3 * letter]
+    attributes = {
+        "width": f"{width:.3f}mm", "height": f"{height:.3f}mm", "viewBox": f"0 0 {width:.3f} {height:.3f}",
+        "xmlns": "http://www.w3.org/2000/svg", "font-family": "Helvetica, Arial, sans-serif",
+    }  # fmt: skip
+    root = ElementTree.Element("svg", attributes)
+    ElementTree.SubElement(root, "title").text = "Sewing pattern, true scale, millimetres"
+    page = _Page(root, low, size[1], letter, max(size))
+    for piece, key in zip(pattern.pieces, _keys(pattern), strict=True):
+        page.draw(piece, key)
+    page.seams(pattern)
+    page.bar(height)
+    try:
+        ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _keys(pattern: Pattern) -> list[str]:
+    """Names as they may be part of an XML id, numbered where they would be alike."""
+    names = ["".join(c if c.isalnum() or c in "-_." else "_" for c in piece.name) for piece in pattern.pieces]
+    return [f"{name}-{k}" if names.count(name) > 1 else name for k, name in enumerate(names, 1)]
+
+
+class _Page:
+    """The drawing: metres, y up, become millimetres from the upper left corner, y down."""
+
+    def __init__(self, root: ElementTree.Element, low: np.ndarray, height: float, letter: float, size: float):
+        self.low, self.height, self.letter = low, height, letter
+        self.layers = {}
+        for name, (number, colour, width) in LAYERS.items():
+            style = (
+                {"fill": colour, "stroke": "none"} if name == "text" else {"fill": "none", "stroke": colour}
+            )
+            style |= {"stroke-width": f"{width * size / 1000:.3f}"} if width else {}
+            layer = {"id": name, "data-layer": str(number), "stroke-linejoin": "round", **style}
+            self.layers[name] = ElementTree.SubElement(root, "g", layer)
+
+    def millimetres(self, points: np.ndarray) -> np.ndarray:
+        x = 1e3 * np.reshape(points, (-1, 2)) - self.low
+        return np.column_stack([x[:, 0], self.height - x[:, 1]]) + MARGIN
+
+    def path(self, layer: str, key: str, lines: list[np.ndarray], closed: bool = False, **style: str) -> None:
+        """One path of several polylines (metres)."""
+        text = " ".join(
+            "M "
+            + " L ".join(f"{x:.4f},{y:.4f}" for x, y in self.millimetres(line))
+            + (" Z" if closed else "")
+            for line in lines
+        )
+        ElementTree.SubElement(self.layers[layer], "path", {"id": f"{layer}-{key}", "d": text, **style})
+
+    def write(self, at: np.ndarray, text: str, letters: float = 1.0, **style: str) -> None:
+        """Text centred at a point (metres)."""
+        x, y = self.millimetres(at)[0]
+        size = letters * self.letter
+        place = {"x": f"{x:.3f}", "y": f"{y + 0.35 * size:.3f}", "font-size": f"{size:.2f}", **style}
+        ElementTree.SubElement(self.layers["text"], "text", {"text-anchor": "middle", **place}).text = text
+
+    def draw(self, piece, key: str) -> None:
+        """Lines, marks and name of a piece."""
+        letter = 1e-3 * self.letter  # in metres, as the pattern
+        self.path("cut", key, list(piece.cut), closed=True, **{"fill": "#f6f3ea", "fill-rule": "evenodd"})
+        self.path("sew", key, [piece.points[piece.outline]], closed=True)
+        self.path("notch", key, notch_lines(piece, letter))
+        turns = piece.points[piece.turns]
+        cross = 0.4 * letter * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
+        self.path("internal", key, [t + cross[[i, i + 1]] for t in turns for i in (0, 2)])
+        self.path("grain", key, [piece.grain, *arrows(piece.grain, letter)])
+        beside = piece.grain.mean(axis=0) + np.array([1.2 * letter, 0.0])
+        self.write(beside, piece.name, 1.5, **{"text-anchor": "start", "font-weight": "bold"})
+
+    def seams(self, pattern: Pattern) -> None:
+        """The label of each seam inside both its sides, at the middle."""
+        for seam in pattern.seams:
+            for piece, side, turn in zip(seam.pieces, seam.sides, (1, -1), strict=True):
+                at, inward = label_place(pattern.pieces[piece].points[side], turn)
+                self.write(at + 1.6e-3 * self.letter * inward, seam.label, fill=LAYERS["sew"][1])
+
+    def bar(self, height: float) -> None:
+        """Scale bar at the lower left, in page coordinates."""
+        y = height - MARGIN
+        line = {
+            "id": "scale-bar",
+            "d": f"M {MARGIN},{y:.3f} h {BAR} m 0,-3 v 6 m {-BAR},0 v -6",
+            "stroke": "#1b1f24",
+            "stroke-width": "0.5",
+        }
+        ElementTree.SubElement(self.layers["text"], "path", line)
+        note = {"x": f"{MARGIN + BAR + 5}", "y": f"{y + 3:.3f}", "font-size": "10"}
+        ElementTree.SubElement(self.layers["text"], "text", note).text = f"{BAR:g} mm"
+
+
+def notch_lines(piece, length: float) -> list[np.ndarray]:
+    """A stroke (2, 2) for each notch: from the sew line inwards, `length` long (m)."""
+    n = piece.notches
+    return [np.array([p, p + length * d]) for p, d in zip(n.points, n.inward, strict=True)]
+
+
+def arrows(line: np.ndarray, length: float) -> list[np.ndarray]:
+    """Arrow heads (3, 2) at both ends of an upright line (2, 2), `length` long (m)."""
+    head = length * np.array([[-0.35, -1.0], [0.0, 0.0], [0.35, -1.0]])
+    return [line[1] + head, line[0] - head]
+
+
+def label_place(run: np.ndarray, turn: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where a run (k, 2) is labelled, near its middle, and the unit normal there: left for turn = 1, right for -1."""
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(run, axis=0), axis=1)))
+    place = LABEL * length[-1]
+    at = np.array([np.interp(place, length, run[:, i]) for i in (0, 1)])
+    edge = int(np.searchsorted(length, place))
+    tangent = run[edge] - run[edge - 1]
+    return at, turn * np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
