@@ -2,6 +2,7 @@
 
 import sys
 
+import ipctk
 import numpy as np
 import pytest
 from protocols import UP, held, plate, shell_of
@@ -311,3 +312,70 @@ def test_layers_in_the_same_place_are_refused():
     )  # fmt: skip
     with pytest.raises(InputError, match="start in the same place at vertex"):
         attach(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+
+
+def test_a_start_through_itself_is_refused():
+    points, triangles = plate(1.0, 1.0, 0.25)
+    shell = shell_of(
+        np.concatenate([points, points[:, [0, 2, 1]] + [0.1071, 0.4013, -0.4717]]),
+        np.concatenate([triangles, triangles + 25]),
+        young=YOUNG, thickness=1e-3, density=DENSITY,
+    )  # fmt: skip
+    with pytest.raises(InputError, match="passing through itself"):
+        attach(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+
+
+def test_supports_that_hold_layers_too_near_are_refused():
+    shell, offset = loop_shell()
+    with pytest.raises(
+        InputError, match="supports hold layers of the shell 0.006.* nearer than twice the offset"
+    ):
+        attach(Problem(shell), [], 2.0 * offset, shell_layers(shell, 2.0 * offset, 0.0))
+
+
+def test_supports_do_not_carry_layers_through_each_other():
+    """Two strips, one above the other, the upper one's held end lowered through the lower one's."""
+    points, triangles = plate(0.3, 0.1, 0.05)
+    both = np.concatenate([points, points + 0.05 * UP + [0.02, 0.01, 0.0]])
+    ends = np.flatnonzero(both[:, 0] < 0.03)
+    lower, upper = ends[ends < len(points)], ends[ends >= len(points)]
+    masks = [np.isin(np.arange(len(both)), part) for part in (lower, upper)]
+    shell = shell_of(
+        both, np.concatenate([triangles, triangles + len(points)]), young=YOUNG, thickness=1e-3, density=DENSITY,
+        **held(both, (masks[0], np.zeros(3)), (masks[1], np.array([0.0, 0.0, -0.1]))),
+    )  # fmt: skip
+    problem = Problem(shell)
+    attach(problem, [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+    path = solve_statics(problem, StaticsOptions(load_steps=1))
+    assert not path.converged and "supports carry layers of the shell through each other" in path.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_pleats_stay_untangled(friction):
+    """Deep pleats held at the waist, thrown onto each other by a sideways load: without self-contact they tangle."""
+    wave, height, cell = 0.06, 0.1, 0.005
+    rest, triangles = plate(3 * wave, height, cell)
+    s = np.linspace(0.0, 3 * wave, 4001)
+    turn = 2.0 * np.cos(2.0 * np.pi * 0.5 * (s[1:] + s[:-1]) / wave)
+    plan = np.concatenate(
+        [np.zeros((1, 2)), np.cumsum(np.column_stack([np.cos(turn), np.sin(turn)]), axis=0) * s[1]]
+    )
+    points = np.column_stack([*(np.interp(rest[:, 0], s, plan[:, k]) for k in range(2)), rest[:, 1]])
+    waist = rest[:, 1] > height - 0.5 * cell
+    shell = shell_of(
+        points, triangles, rest=points, flat=False, young=1e5, thickness=0.5e-3, density=DENSITY,
+        gravity=np.array([-30.0, 0.0, -GRAVITY]), **held(points, (waist, np.zeros(3))),
+    )  # fmt: skip
+    for layers in (shell_layers(shell, OFFSET, friction), None):
+        problem = Problem(shell)
+        attach(problem, [], OFFSET, layers)
+        path = solve_statics(problem, StaticsOptions(load_steps=1))
+        assert path.converged
+        x = problem.positions(path.state)
+        sides = np.asarray(shell.topology.edges, dtype=np.int32)
+        tangled = ipctk.has_intersections(ipctk.CollisionMesh(x, sides, shell.triangles), x)
+        assert tangled == (layers is None)
+        if layers:
+            report = contact_report(problem, path.state)
+            assert report["self_contacts"] > 20 and report["max_penetration"] < 1e-8 * problem.size()

@@ -15,6 +15,7 @@ import numpy as np
 
 from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, derivatives, edge_distance
 from voile.contact.pairs import Geometry
+from voile.errors import InputError
 
 if TYPE_CHECKING:
     from voile.contact.state import State
@@ -96,14 +97,37 @@ class Layers:
     def _free_share(self, swept: ipctk.Candidates, x: np.ndarray, moved: np.ndarray) -> float:
         return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
 
-    def coincident(self) -> int | None:
-        """A vertex of two layers that start in the same place, or None."""
-        here = self.find(self.points, np.zeros(0, dtype=np.int64))
-        distance = closest(here, self.points).distance
-        worst = int(np.argmin(distance)) if len(distance) else 0
-        if not len(distance) or distance[worst] > SAME * self.thickness:
-            return None
-        return int(here.vertex[worst, 0])
+    def check_start(self, x: np.ndarray) -> None:
+        """Raises InputError where layers at x (n, 3) are in the same place, or (away from what is barred) through each
+        other."""
+        here = self.find(x, np.zeros(0, dtype=np.int64))
+        distance = closest(here, x).distance
+        if len(distance) and distance.min() <= SAME * self.thickness:
+            vertex = here.vertex[np.argmin(distance), 0]
+            place = ", ".join(f"{c:.4g}" for c in x[vertex])
+            raise InputError(
+                f"contact.self_contact: layers of the shell start in the same place at vertex {vertex} ({place}); "
+                "move them apart, or sew them"
+            )
+        apart = self.triangles[~np.isin(self.triangles, self.barred).any(axis=1)]
+        sides = np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        if ipctk.has_intersections(ipctk.CollisionMesh(x, np.unique(sides, axis=0), apart), x):
+            raise InputError(
+                "contact.self_contact: the shell starts passing through itself; move its layers apart"
+            )
+
+    def check_held(self, x: np.ndarray, free: np.ndarray) -> None:
+        """Raises InputError where what is not free (n,) keeps layers at x (n, 3) nearer than they may come."""
+        here = self.find(x, np.zeros(0, dtype=np.int64))
+        c = closest(here, x)
+        held = ~((c.weight != 0.0) & free[here.vertex]).any(axis=1)
+        near = np.where(held, c.distance, np.inf)
+        if len(near) and near.min() < (1.0 - SAME) * self.thickness:
+            vertex = here.vertex[np.argmin(near), 0]
+            raise InputError(
+                f"contact.self_contact: supports hold layers of the shell {near.min():.4g} m apart at vertex {vertex}, "
+                f"nearer than twice the offset, {self.thickness:.4g} m; lower contact.offset or hold them further apart"
+            )
 
     def _codes(self, found: ipctk.Candidates) -> np.ndarray:
         """Ascending codes of what ipctk found and is not barred."""

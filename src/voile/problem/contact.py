@@ -7,7 +7,6 @@ from petsc4py import PETSc
 from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
-from voile.errors import InputError
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 
@@ -44,14 +43,7 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
 
 def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItself:
     """Layers as all ranks see them: each has the positions of all vertices, and the same pairs. Raises InputError where
-    layers start in the same place."""
-    where = layers.coincident()
-    if where is not None:
-        x = ", ".join(f"{c:.4g}" for c in layers.points[where])
-        raise InputError(
-            f"contact.self_contact: layers of the shell start in the same place at vertex {where} ({x}); "
-            "move them apart, or sew them"
-        )
+    layers start in the same place or through each other, or supports hold them too near."""
     part, comm = problem.part, problem.comm
     own = part.owned_vertices
     place = np.concatenate(comm.allgather(part.vertex[own]))
@@ -61,9 +53,13 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItsel
     def widen(rows: np.ndarray) -> np.ndarray:
         return np.concatenate(comm.allgather(rows[own]))[everything]
 
+    start, free = widen(part.points + part.gap[: part.points.size].reshape(-1, 3)), widen(movable)
+    layers.check_start(start)
+    for x in (start, start + widen(part.lift[: part.points.size].reshape(-1, 3))):
+        layers.check_held(x, free)
     mine = np.zeros(len(place), dtype=bool)
     mine[part.vertex[own]] = True
-    return OnItself(layers, widen, part.vertex, widen(movable), mine)
+    return OnItself(layers, widen, part.vertex, free, mine)
 
 
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:

@@ -73,6 +73,10 @@ class FrictionalSolver:
     def solve(self, y: PETSc.Vec, wanted: float, ways: int = 3) -> Outcome:
         """y and the contact's state end at the equilibrium with a norm under `wanted` (N), or where they were."""
         self.iterations = 0
+        if self._carried_through(y):
+            return Outcome(
+                False, "", "supports carry layers of the shell through each other in one load step"
+            )
         outcome = Outcome(False, "")
         first = self._by_complementarity if PETSc.Options().hasName(OPTION) else self._directly
         later: list[Way] = [self._by_pseudo_time]
@@ -228,6 +232,18 @@ class FrictionalSolver:
     def _norm(self, y: PETSc.Vec) -> float:
         """Norm of residual and mismatch (N)."""
         return float(np.hypot(*self.semismooth.norms(y, y.duplicate())))
+
+    def _carried_through(self, y: PETSc.Vec) -> bool:
+        """Whether supports alone, moved from where the load step began, push layers of the shell through each other."""
+        if not (self.contact.itself and self.problem.moves):
+            return False
+        state, target = self.contact.state, self.problem.load_factor
+        self.problem.load_factor = state.factor
+        began = self.problem.positions(y)
+        self.problem.load_factor = target
+        if not self.problem.everywhere(np.array_equal(began, state.reference)):
+            return False  # the step is on its way
+        return self.contact.free_share(began, self.problem.positions(y)) < 1.0
 
     def _at_saddle(self) -> bool:
         return self.saddle is not None
