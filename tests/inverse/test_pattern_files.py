@@ -271,6 +271,12 @@ def test_bad_allowance_is_refused(flat, allowance, message):
         make_pattern(flat, allowance=allowance)
 
 
+@pytest.mark.parametrize("grain", [(0, 0, 0), (0, 1), (0, np.nan, 1)])
+def test_bad_grain_is_refused(flat, grain):
+    with pytest.raises(InputError, match="pattern: grain = .* allowed: a direction"):
+        make_pattern(flat, grain=grain)
+
+
 def test_missing_and_damaged_patterns_are_refused(pattern, tmp_path, capsys):
     assert main(["export", str(tmp_path), "--to", "svg"]) == 2
     assert "no pattern.json" in capsys.readouterr().err

@@ -8,7 +8,11 @@ from pattern_shapes import cylinder, gores, octahedron, skirt, torus
 from voile.errors import InputError
 from voile.inverse.flatten import distortion, flatten, flatten_disc
 from voile.inverse.panels import Panels, split
-from voile.mesh import build_topology
+from voile.inverse.pattern import sewing
+from voile.inverse.stitched import add_stitches
+from voile.mesh import Stitches, build_topology, read_body, read_mesh
+
+patterns = generator("patterns")
 
 
 def edge_errors(panels: Panels, flat: np.ndarray) -> np.ndarray:
@@ -148,3 +152,72 @@ def test_bad_panels_are_refused(options, message):
 def test_more_than_two_triangles_at_an_edge_are_refused():
     with pytest.raises(InputError, match="at most two triangles to an edge"):
         split(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]), np.random.default_rng(0).random((5, 3)))
+
+
+# ---- panels that come apart already ----
+
+
+def test_stitches_between_unlike_borders_make_a_seam():
+    """Two squares, 4 and 6 cells wide, the first hung on the second's edge, also between vertices."""
+    one, few = patterns.grid(4, 2)
+    two, many = patterns.grid(6, 2)
+    points = np.concatenate(
+        [
+            np.column_stack([one, np.zeros(len(one))]),
+            np.column_stack([two[:, 0], two[:, 1] + 1.1, np.zeros(len(two))]),
+        ]
+    )
+    upper = np.flatnonzero(one[:, 1] == 1)
+    lower = len(one) + np.flatnonzero(two[:, 1] == 0)
+    along = 6 * one[upper, 0]
+    left = np.minimum(along.astype(int), 5)
+    stitches = Stitches(upper, lower[left], lower[left + 1], along - left)
+    bare = split(np.concatenate([few, many + len(one)]), points)
+    panels = add_stitches(bare, stitches)
+    assert bare.seams == () and len(panels.seams) == 1
+    seam = panels.seams[0]
+    assert seam.panels == (0, 1)
+    assert panels.vertex[seam.sides[0]].tolist() == upper[::-1].tolist()  # counter-clockwise
+    assert panels.vertex[seam.sides[1]].tolist() == lower[::-1].tolist()
+    assert seam.at[0] == pytest.approx(np.linspace(0, 1, 5)) and seam.at[1] == pytest.approx(
+        np.linspace(0, 1, 7)
+    )
+    assert np.array_equal(sewing(panels).weight, stitches.weight)
+
+
+def test_pleated_dress_is_estimated_from_its_drape(shared):
+    """Against its true pattern: the flat panels are as far from it as the draped cloth is stretched, no more."""
+    cut = read_mesh(shared / "meshes" / "pleated-dress-panels.obj", seams=False)
+    drape, _ = read_body(shared / "meshes" / "pleated-dress-draped-with-mannequin.obj")
+    few = np.isin(cut.group, [1, 2, 3, 5])  # bodice, waistband, skirt
+    panels = split(cut.triangles[few], drape[cut.input_vertex], groups=(cut.group[few], cut.group_names))
+    true = np.zeros((len(panels.vertex), 2))
+    true[panels.corners] = cut.texture[cut.texture_triangles[few]]
+    flat = flatten(panels)
+    edges = build_topology(panels.corners).edges
+    shapes = (true, flat.coordinates, panels.points[panels.vertex])
+    length = [np.linalg.norm(np.diff(x[edges], axis=1)[:, 0], axis=1) for x in shapes]
+    corners = [x[panels.corners] for x in shapes[:2]]
+    area = [np.linalg.det(c[:, 1:] - c[:, :1]) for c in corners]
+    for k, (name, most) in enumerate(
+        {"panel1": 0.02, "panel2": 0.08, "panel3": 0.03, "panel5": 0.01}.items()
+    ):
+        assert panels.names[k] == name
+        here = panels.vertex_panel[edges[:, 0]] == k
+        flat_error, drape_error = (np.sqrt(np.mean((x / length[0] - 1)[here] ** 2)) for x in length[1:])
+        assert flat_error < 1.01 * drape_error
+        true_area, flat_area = (a[panels.panel == k].sum() for a in area)
+        assert flat_area == pytest.approx(true_area, rel=most)
+
+
+def test_pleated_dress_is_sewn_as_its_stitches_say(shared):
+    surface = read_mesh(shared / "meshes" / "pleated-dress-panels.obj")
+    groups = (surface.group, surface.group_names)
+    panels = add_stitches(split(surface.triangles, surface.points, groups=groups), surface.stitches)
+    pairs = {frozenset(panels.names[k] for k in seam.panels) for seam in panels.seams}
+    for one, two in ((4, 5), (5, 12), (11, 12), (4, 11), (0, 1), (7, 8), (2, 3), (9, 10), (1, 13), (6, 8)):
+        assert {f"panel{one}", f"panel{two}"} in pairs
+    sewn = np.concatenate([np.concatenate(seam.sides) for seam in panels.seams])
+    ends = np.unique(panels.stitches.slave)
+    assert np.isin(ends, sewn).mean() > 0.95  # all but the tips of its pleats
+    assert len(sewing(panels)) == len(surface.stitches)

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from voile.errors import InputError
-from voile.mesh import boundary_loops, build_topology
+from voile.mesh import Stitches, boundary_loops, build_topology
 
 BACK = (0.0, 0.0, -1.0)  # where an automatic cut goes among paths of like length: the middle of the back
 FRONT_COSTS = 0.5  # relative extra length of an edge at the very front
@@ -35,7 +35,8 @@ class Panels:
     points (n, 3) in metres and triangles (m, 3) of the surface; panel (m,) of each triangle, from 0; names (P);
     corners (m, 3): triangles in panel vertices, of which there are p; vertex (p,): their surface vertices;
     vertex_panel (p,), increasing; outlines: panel vertices (b,) around each panel, counter-clockwise seen
-    from the side of the surface's normals; seams: what is sewn together, for all of them the surface.
+    from the side of the surface's normals; seams: what is sewn together; stitches: what joins panel vertices
+    beside their being copies of one surface vertex, if anything does.
     """
 
     points: np.ndarray
@@ -47,6 +48,7 @@ class Panels:
     vertex_panel: np.ndarray
     outlines: tuple[np.ndarray, ...]
     seams: tuple[Seam, ...]
+    stitches: Stitches | None = None
 
 
 def split(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 
 from voile.errors import InputError
 from voile.inverse.flatten import FlatPanels
@@ -24,14 +25,14 @@ GAP = 0.04  # m between pieces
 def make_pattern(
     flat: FlatPanels,
     allowance: float = 0.0,
-    grain: Sequence[float] | None = UP,
+    grain: ArrayLike | None = UP,
     tolerance: float = 2e-3,
 ) -> Pattern:
     """The pattern, panels in their order, in rows from left to right, each with its grain line upwards.
 
     allowance: of the cut line, m; grain: direction in space that the grain line follows, the panel's long axis
     where it runs across the panel or for None; tolerance: mismatch of a seam's lengths that sewing takes up, m.
-    Raises InputError for a negative allowance or a panel that overlaps itself in the plane.
+    Raises InputError for a negative allowance, a grain that is no direction, or a panel that overlaps itself.
     """
     if not (np.isfinite(allowance) and allowance >= 0):
         raise InputError(f"pattern: seam allowance = {allowance}, allowed: 0 or more, in metres")
@@ -66,13 +67,13 @@ def make_pattern(
     return Pattern(tuple(pieces), tuple(seams), float(allowance), float(tolerance))
 
 
-def _grain(flat: FlatPanels, k: int, grain: Sequence[float] | None) -> np.ndarray:
+def _grain(flat: FlatPanels, k: int, grain: ArrayLike | None) -> np.ndarray:
     """Unit direction (2,) of a panel's grain: the mean slope of the height along `grain` over the flat panel."""
     panels = flat.panels
     corners = panels.corners[panels.panel == k]
     x = flat.coordinates[corners]
     if grain is not None:
-        height = panels.points[panels.vertex[corners]] @ (np.asarray(grain, float) / np.linalg.norm(grain))
+        height = panels.points[panels.vertex[corners]] @ _unit(grain)
         one, two = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
         # the area-weighted mean of the gradient g: g . one = h1 - h0, g . two = h2 - h0, times twice the area
         rise = (height - height[:, :1])[:, 1:]
@@ -88,6 +89,16 @@ def _grain(flat: FlatPanels, k: int, grain: Sequence[float] | None) -> np.ndarra
     outline = flat.coordinates[panels.outlines[k]]
     _, _, axes = np.linalg.svd(outline - outline.mean(axis=0), full_matrices=False)
     return axes[0]
+
+
+def _unit(direction: ArrayLike) -> np.ndarray:
+    vector = np.asarray(direction, dtype=float)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < np.inf:
+        raise InputError(
+            f"pattern: grain = {vector.tolist()}, allowed: a direction, three numbers not all zero"
+        )
+    return vector / length
 
 
 def _turned(x: np.ndarray, grain: np.ndarray) -> np.ndarray:
@@ -241,11 +252,17 @@ def pattern_summary(pattern: Pattern) -> dict:
 
 
 def sewing(panels: Panels) -> Stitches:
-    """The stitches, in panel vertices, that join all copies of a surface vertex to the first."""
+    """The panels' stitches, after those that join all copies of a surface vertex to the first; panel vertices."""
     _, first, label = np.unique(panels.vertex, return_index=True, return_inverse=True)
     slave = np.setdiff1d(np.arange(len(panels.vertex)), first)
     master = first[label][slave]
-    return Stitches(slave, master, master, np.zeros(len(slave)))
+    joins = Stitches(slave, master, master, np.zeros(len(slave)))
+    if panels.stitches is None:
+        return joins
+    parts = [
+        [getattr(s, end) for s in (joins, panels.stitches)] for end in ("slave", "first", "second", "weight")
+    ]
+    return Stitches(*(np.concatenate(part) for part in parts))
 
 
 def write_rest_obj(
