@@ -5,6 +5,7 @@ import sys
 import ipctk
 import numpy as np
 import pytest
+from mesh_helpers import generator
 from protocols import UP, held, plate, shell_of
 from test_state import taylor_rates
 
@@ -353,29 +354,20 @@ def test_supports_do_not_carry_layers_through_each_other():
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_pleats_stay_untangled(friction):
-    """Deep pleats held at the waist, thrown onto each other by a sideways load: without self-contact they tangle."""
-    wave, height, cell = 0.06, 0.1, 0.005
-    rest, triangles = plate(3 * wave, height, cell)
-    s = np.linspace(0.0, 3 * wave, 4001)
-    turn = 2.0 * np.cos(2.0 * np.pi * 0.5 * (s[1:] + s[:-1]) / wave)
-    plan = np.concatenate(
-        [np.zeros((1, 2)), np.cumsum(np.column_stack([np.cos(turn), np.sin(turn)]), axis=0) * s[1]]
-    )
-    points = np.column_stack([*(np.interp(rest[:, 0], s, plan[:, k]) for k in range(2)), rest[:, 1]])
-    waist = rest[:, 1] > height - 0.5 * cell
+    """A skirt of deep pleats held at its waist, swung sideways: without self-contact they tangle."""
+    points, triangles = generator("pleated_skirt").pleated_skirt()
     shell = shell_of(
         points, triangles, rest=points, flat=False, young=1e5, thickness=0.5e-3, density=DENSITY,
-        gravity=np.array([-30.0, 0.0, -GRAVITY]), **held(points, (waist, np.zeros(3))),
+        gravity=np.array([-4.0, -GRAVITY, 0.0]), **held(points, (points[:, 1] > 0.199, np.zeros(3))),
     )  # fmt: skip
-    for layers in (shell_layers(shell, OFFSET, friction), None):
+    for layers in (shell_layers(shell, 0.8 * OFFSET, friction), None):
         problem = Problem(shell)
         attach(problem, [], OFFSET, layers)
         path = solve_statics(problem, StaticsOptions(load_steps=1))
         assert path.converged
         x = problem.positions(path.state)
-        sides = np.asarray(shell.topology.edges, dtype=np.int32)
-        tangled = ipctk.has_intersections(ipctk.CollisionMesh(x, sides, shell.triangles), x)
+        tangled = ipctk.has_intersections(ipctk.CollisionMesh(x, shell.topology.edges, shell.triangles), x)
         assert tangled == (layers is None)
         if layers:
             report = contact_report(problem, path.state)
-            assert report["self_contacts"] > 20 and report["max_penetration"] < 1e-8 * problem.size()
+            assert report["self_contacts"] > 10 and report["max_penetration"] < 1e-8 * problem.size()
