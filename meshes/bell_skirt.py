@@ -13,6 +13,7 @@ def bell_skirt(
     length: float = 0.44,
     flare: float = 0.12,
     folds: int = 8,
+    gores: int = 8,
     depth: float = 0.035,
     size: float = 0.02,
     diagonals: str = "alternating",
@@ -20,17 +21,19 @@ def bell_skirt(
     bust: float = 0.88,
     waist: float = 0.68,
     hip: float = 0.94,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple:
     """Skirt from `level` (m) down on a dress form (height, bust, waist, hip as there), normals outward.
 
     clearance (m) from the form over the upper quarter of its length (m, measured down); below, it leaves the form by
-    flare (m) at the hem, with `folds` waves of amplitude depth (m).
+    flare (m) at the hem, with `folds` waves of amplitude depth (m). Its groups are `gores` panels, their seams on the
+    ridges of the folds where there are as many.
     """
     positive(clearance=clearance, length=length, flare=flare, depth=depth, size=size)
     if not 0 < level < height:
         raise ValueError(f"level = {level}, allowed: between 0 and {height}")
     y, girth, shape = _profile(height, {"bust": bust, "waist": waist, "hip": hip})
-    columns = even(cells(float(np.interp(level, y, girth)) + np.pi * flare, size))
+    around = float(np.interp(level, y, girth)) + np.pi * flare
+    columns = gores * even(cells(around / gores, size))
     uv, triangles = grid(columns, cells(length, size), diagonals)
     share, down = uv[:, 0], 1.0 - uv[:, 1]
     lowest = 0.15 * height  # below, the form is not followed
@@ -48,7 +51,9 @@ def bell_skirt(
         out = clearance + swing * (flare + depth * np.cos(2 * np.pi * folds * angle))
         x, z = section[[0, 2]] + out * outward
         points[k] = x, at, z
-    return weld(points, triangles, 1e-6 * size)
+    panel = np.floor(gores * share[triangles].mean(axis=1)).astype(int)
+    names = tuple(f"gore-{k + 1}" for k in range(gores))
+    return *weld(points, triangles, 1e-6 * size), None, None, (panel, names)
 
 
 if __name__ == "__main__":

@@ -212,9 +212,9 @@ def command(build: Callable[..., tuple[np.ndarray, ...]]) -> None:
         mesh = build(**options)
         settings = ", ".join(f"{key} = {value}" for key, value in options.items())
         points, triangles = mesh[:2]
-        texture, texture_triangles = mesh[2:] or (None, None)
+        texture, texture_triangles, groups = (*mesh[2:], None, None, None)[:3]
         comment = f"meshes/{build.__name__}.py: {settings}; metres"
-        write_obj(output, points, triangles, texture, texture_triangles, comment=comment)
+        write_obj(output, points, triangles, texture, texture_triangles, groups, comment=comment)
     except ValueError as error:
         parser.error(str(error))
     print(f"{output}: {len(mesh[0])} vertices, {len(mesh[1])} triangles")

@@ -230,7 +230,7 @@ def static_mesh(model: Model, shell: Shell, directors: bool) -> StaticMesh:
         shell.points,
         shell.triangles,
         rest=shell.rest_points,
-        rest_triangles=None if model.rest.triangles is shell.triangles else shell.rest_triangles,
+        rest_triangles=None if shell.rest_triangles is shell.triangles else shell.rest_triangles,
         edges=shell.topology.edges if directors else None,
         group=model.surface.group,
         group_names=model.surface.group_names,

@@ -83,7 +83,7 @@ def render(
                 contact.draw_reactions(plotter, points, result.field("reaction", step))
             if outline:
                 _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
-            _write_title(plotter, _title(result, scene, step), size)
+            _write_title(plotter, _title(result, scene, step, "rest shape" if shape == "rest" else ""), size)
             plotter.camera_position = [tuple(camera.position), tuple(camera.focus), tuple(camera.up)]
             plotter.camera.view_angle = camera.angle
             plotter.reset_camera_clipping_range()
@@ -197,10 +197,12 @@ def _round_up(limit: float) -> float:
     return float(power * steps[np.searchsorted(steps, limit / power * (1 - 1e-9))])
 
 
-def _title(result: Result, scene: dict[str, Any], step: int) -> str:
+def _title(result: Result, scene: dict[str, Any], step: int, shape: str) -> str:
     head = scene.get("scene", {})
     value = result.values[step]
     progress = f"time {value:.4g} s" if head.get("task") == "dynamics" else f"load factor {value:.4g}"
+    if head.get("task") == "inverse":
+        progress = shape or ("target" if value == 0.0 else "simulated")
     name = head.get("name", "")
     return f"{name}    {progress}" if name else progress
 

@@ -270,6 +270,9 @@ class Inverse:
         "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
         default=(),
     )
+    seam_allowance: float = key(
+        Number("m", least=0), "pattern: distance of the cut line from the sew line", default=0.0
+    )
     regularisation: float = key(
         Number(least=0),
         "adjoint: weight of the rest shape's change beside that of the distance to the target",
@@ -345,7 +348,6 @@ def unsupported(scene: Scene) -> list[str]:
     asked = {
         f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
-        f"inverse.developable = {scene.inverse.developable!r}": inverse and bool(scene.inverse.developable),
         "contact.self_contact = true with task = inverse": inverse and scene.contact.self_contact,
     }
     return [what for what, used in asked.items() if used]

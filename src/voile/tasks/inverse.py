@@ -4,21 +4,33 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from voile.mesh import METRES, write_obj
+from voile.results import ResultWriter, StaticMesh
 from voile.tasks.common import gathered, rows, summarise, versions
+from voile.tasks.patterns import (
+    lay_flat,
+    moved,
+    on_panels,
+    pattern_of_surface,
+    write_pattern_files,
+    write_sewn_rest,
+)
 from voile.tasks.progress import Progress
+from voile.wiring import static_mesh
 
 
 def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
     if scene.inverse.estimate:
         return _run_estimation(scene, model, folder, comm, progress, began)
-    from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+    from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse, solve_panels
     from voile.problem.discrete import Problem
     from voile.solver.sewing import sew
 
     spec = scene.inverse
-    shell = sew(_target_shell(model), comm) if model else sew(None, comm)
-    problem = Problem(shell, comm)
+    shell = sew(_target_shell(model) if model else None, comm)
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
     options = InverseOptions(
         spec.friction,
@@ -27,11 +39,23 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         spec.method,
         spec.regularisation,
         spec.iterations,
+        developable=spec.developable == "constraint",
     )
-    result = solve_inverse(problem, shell, bodies, offset, options, progress.fraction, progress.optimisation)
+    says = progress.fraction, progress.optimisation
+    flat = None
+    if spec.developable == "panels":
+        flat = _on_root(comm, lambda: lay_flat(model, shell, _sewn(shell)) if shell is not None else None)
+        shell = on_panels(shell, flat) if shell is not None and flat else None
+        problem = Problem(shell, comm)
+        coordinates = comm.bcast(flat.coordinates if flat else None)
+        result, found = solve_panels(problem, shell, coordinates, bodies, offset, options, *says)
+        flat = moved(flat, found) if flat else None
+    else:
+        problem = Problem(shell, comm)
+        result = solve_inverse(problem, shell, bodies, offset, options, *says, _borders(model))
     start = time.perf_counter()
-    _write_rest(scene, model, shell, folder, result, comm)
     report = inverse_report(result)
+    report["pattern"] = _write_rest(scene, model, shell, folder, result, flat, comm)
     seconds = {**problem.seconds, **result.seconds, "input_output": time.perf_counter() - start}
     summarise(
         scene, model, problem, result.simulation.path, folder, seconds, began, result=result, inverse=report
@@ -47,10 +71,8 @@ def _run_estimation(scene, model, folder: Path, comm, progress: Progress, began:
     """Parameters of the shell from its observed shape, the scene's mesh, and its known rest shape."""
     from voile.inverse.estimate import Estimation
     from voile.problem.discrete import Problem
-    from voile.results import ResultWriter
     from voile.solver.path import Path as LoadPath
     from voile.solver.sewing import sew
-    from voile.wiring import static_mesh
 
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
@@ -82,27 +104,67 @@ def _target_shell(model):
     return replace(s, rest_points=s.points, rest_triangles=s.triangles, flat=False)
 
 
-def _write_rest(scene, model, shell, folder: Path, result, comm) -> None:
-    """result.vtkhdf (the target, then the simulation from it, with the rest shape found) and rest.obj."""
-    import numpy as np
+def _sewn(shell) -> np.ndarray:
+    """(n, 3) the start shape with its seams closed."""
+    from voile.problem.constraints import build_constraints
 
-    from voile.mesh import METRES, write_obj
-    from voile.results import ResultWriter
-    from voile.wiring import static_mesh
+    return shell.points + build_constraints(shell, False).gap[: shell.points.size].reshape(-1, 3)
 
+
+def _on_root(comm, action):
+    """What an action gives on rank 0, None elsewhere; its error on all ranks."""
+    outcome = failure = None
+    if comm.rank == 0:
+        try:
+            outcome = action()
+        except Exception as caught:
+            failure = caught
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+    return outcome
+
+
+def _borders(model) -> np.ndarray | None:
+    """Vertices where groups meet: seams, which may have an angle defect."""
+    if model is None:
+        return None
+    surface = model.surface
+    lowest, highest = np.full(len(surface.points), np.inf), np.full(len(surface.points), -np.inf)
+    for corner in surface.triangles.T:
+        np.minimum.at(lowest, corner, surface.group)
+        np.maximum.at(highest, corner, surface.group)
+    return np.flatnonzero(lowest < highest)
+
+
+def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict | None:
+    """result.vtkhdf (the target, then the simulation from it, with the rest shape found), rest.obj and the pattern;
+    flat: panels, where they were asked for. The pattern's figures."""
     problem, target = result.target.problem, result.target
-    part, own = problem.part, problem.part.owned_vertices
+    own = problem.part.owned_vertices
+    start = gathered(problem, target.x)
     rest = gathered(problem, target.x + problem.motion(result.rest))
     mode = gathered(problem, problem.motion(result.mode))
-    mesh = None
+    mesh: StaticMesh | None = None
+    figures: dict | None = None
     if comm.rank == 0:
-        mesh = static_mesh(model, replace(shell, rest_points=rest), problem.directors)
+        s, name = model.surface, f"rest shape of {scene.scene.name or scene.path}"
+        up: np.ndarray | None = -shell.gravity if shell.gravity.any() else None
+        allowance = scene.inverse.seam_allowance
+        if flat:
+            shell = on_panels(shell, flat)
+            figures = write_pattern_files(folder, flat, allowance, up)
+            write_sewn_rest(folder, flat, start, allowance, name)
+        else:
+            shell = replace(shell, rest_points=rest)
+            assert rest is not None  # gathered here
+            figures = pattern_of_surface(folder, model, shell, rest, allowance, up)
+            write_obj(
+                folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
+                comment=f"{METRES}\n{name}",
+            )  # fmt: skip
+        mesh = static_mesh(model, shell, problem.directors)
         mesh = replace(mesh, point_data={**mesh.point_data, "mode": mode})
-        s = model.surface
-        write_obj(
-            folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
-            comment=f"{METRES}\nrest shape of {scene.scene.name or scene.path}",
-        )  # fmt: skip
     with ResultWriter(
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
     ) as writer:
@@ -112,8 +174,8 @@ def _write_rest(scene, model, shell, folder: Path, result, comm) -> None:
             at_target |= {"point_data": fields}
             at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])
         writer.write_step(0.0, scalars={"residual": result.residual, "converged": 1.0}, **at_target)
-        simulated, path = at_target, result.simulation.path
+        path = result.simulation.path
         with target.obstructed():
             simulated = rows(problem, path.state)
         writer.write_step(1.0, scalars={"residual": 0.0, "converged": float(path.converged)}, **simulated)
-    assert part is problem.part
+    return figures
