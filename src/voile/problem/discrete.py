@@ -250,7 +250,8 @@ class Problem:
         if self.contact and contact is None:
             contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
         contact = list(contact or ())
-        self._assembly.prepare(matrix, self.kernel, contact)
+        likely = self.contact.state.candidates.vertex if self.contact else None
+        self._assembly.prepare(matrix, self.kernel, contact, likely)
         if self.moments:
             self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
             self.moments.linearise(self._positions(u))
@@ -369,9 +370,9 @@ class Problem:
         return self._length
 
     def _measure(self) -> float:
-        low = self.comm.allreduce(self.part.points.min(axis=0, initial=np.inf), op=_minimum)
-        high = self.comm.allreduce(self.part.points.max(axis=0, initial=-np.inf), op=_maximum)
-        return float(np.linalg.norm(high - low))
+        points = np.concatenate([self.part.points, -self.part.points], axis=1)
+        outermost = self.comm.allreduce(points.max(axis=0, initial=-np.inf), op=_maximum)
+        return float(np.linalg.norm(outermost[:3] + outermost[3:]))
 
     def positions(self, y: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) positions of unknowns y (m)."""
@@ -379,10 +380,6 @@ class Problem:
 
     def _positions(self, u: np.ndarray) -> np.ndarray:
         return self.part.points + (self._base + u).reshape(-1, 3)
-
-
-def _minimum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.minimum(a, b)
 
 
 def _maximum(a: np.ndarray, b: np.ndarray) -> np.ndarray:

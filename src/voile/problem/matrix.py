@@ -57,12 +57,15 @@ class Assembly:
         matrix.setPreallocationCSR((start.astype(np.int32), column.astype(np.int32)))
         self._bind(matrix)
 
-    def prepare(self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks) -> None:
-        """Makes room in the matrix for blocks that are to be added, whose pattern grows if it must."""
-        missing = [self._codes(vertex) for vertex, _ in blocks if vertex.ndim == 2]
-        wanted = np.unique(np.concatenate([*missing, self.coupled]))
-        if len(wanted) > len(self.coupled):
-            self.coupled = wanted
+    def prepare(
+        self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: np.ndarray | None = None
+    ) -> None:
+        """Makes room in the matrix for blocks that are to be added. Its pattern grows if it must, and then for contacts
+        over vertices that are likely to come, too (c, s)."""
+        needed = [self._codes(vertex) for vertex, _ in blocks if vertex.ndim == 2]
+        if not np.isin(np.concatenate([*needed, self.coupled[:0]]), self.coupled).all():
+            near = [] if likely is None else [self._codes(likely)]
+            self.coupled = np.unique(np.concatenate([*needed, *near, self.coupled]))
             self._allocate(matrix, kernel)
         elif matrix.handle != self._bound:
             self._bind(matrix)
