@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from inverse_shells import grid
 from test_direct import tube
+from test_panels import cone_skirt
 
 from voile.mesh import read_mesh, write_obj
 from voile.results import read_result
@@ -135,3 +136,41 @@ def test_soft_cloth_is_told_unstable_and_its_last_stable_rest_shape_is_kept(tmp_
         mode = result.field("mode", 0)
     assert np.abs(mode).max() == pytest.approx(1.0) and np.abs(mode[:, 2]).max() > 0.9
     assert (tmp_path / "out" / "rest.obj").is_file()
+
+
+def hanging_cone(folder, **more):
+    """A cone skirt pinned at its waist, as a scene; its height (m)."""
+    shape, _ = cone_skirt(young=1e7)
+    write_obj(folder / "target.obj", shape.points, shape.triangles)
+    scene(folder, "[[fix]]\nselect = { box = [[-1, -1, -0.03], [1, 1, 1]] }", **more)
+    return float(np.ptp(shape.points[:, 2]))
+
+
+def test_panels_are_cut_sewn_and_draped_again(tmp_path):
+    height = hanging_cone(tmp_path, inverse='developable = "panels"\nseam_allowance = 0.01\niterations = 6')
+    code, said = run(tmp_path)
+    assert code == 0, said
+    out = tmp_path / "out"
+    found = json.loads((out / "summary.json").read_text())["inverse"]
+    assert found["pattern"]["seam_mismatch"] < found["pattern"]["seam_tolerance"]
+    assert {"pattern.svg", "pattern.dxf", "pattern.png", "rest.obj"} <= {path.name for path in out.iterdir()}
+    sewn = read_mesh(out / "rest.obj")
+    assert sewn.stitches is not None and sewn.texture is not None
+    text = (tmp_path / "scene.toml").read_text().split("[inverse]")[0]
+    text = text.replace('task = "inverse"', "").replace('"target.obj"', '"out/rest.obj"\nrest = "flat"')
+    (tmp_path / "scene.toml").write_text(text)
+    again = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "again"]
+    done = subprocess.run(again, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    with read_result(tmp_path / "again") as draped:
+        assert np.linalg.norm(draped.points(-1) - sewn.points, axis=1).max() < 0.01 * height
+
+
+def test_a_developable_rest_shape_flattens_exactly(tmp_path):
+    hanging_cone(tmp_path, inverse='developable = "constraint"\niterations = 4')
+    code, said = run(tmp_path)
+    assert code == 0, said
+    found = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
+    assert found["largest_defect"] < 1e-8 and found["sag"] < 1e-3
+    assert found["pattern"]["distortion"] < 1e-6
+    assert [step["share"] for step in found["developability"]] == [0.0, 0.5, 0.8, 0.9, 0.95, 1.0]

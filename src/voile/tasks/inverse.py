@@ -10,9 +10,10 @@ from voile.mesh import METRES, write_obj
 from voile.results import ResultWriter, StaticMesh
 from voile.tasks.common import gathered, rows, summarise, versions
 from voile.tasks.patterns import (
+    cut_apart,
+    first_copies,
     lay_flat,
     moved,
-    on_panels,
     pattern_of_surface,
     write_pattern_files,
     write_sewn_rest,
@@ -45,10 +46,10 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     flat = None
     if spec.developable == "panels":
         flat = _on_root(comm, lambda: lay_flat(model, shell, _sewn(shell)) if shell is not None else None)
-        shell = on_panels(shell, flat) if shell is not None and flat else None
-        problem = Problem(shell, comm)
+        cut = cut_apart(shell, flat) if shell is not None and flat else None
+        problem = Problem(cut, comm)
         coordinates = comm.bcast(flat.coordinates if flat else None)
-        result, found = solve_panels(problem, shell, coordinates, bodies, offset, options, *says)
+        result, found = solve_panels(problem, cut, coordinates, bodies, offset, options, *says)
         flat = moved(flat, found) if flat else None
     else:
         problem = Problem(shell, comm)
@@ -137,11 +138,34 @@ def _borders(model) -> np.ndarray | None:
     return np.flatnonzero(lowest < highest)
 
 
+def _standing(flat) -> np.ndarray | None:
+    """(p,) the surface's vertex that a panel vertex stands for, -1 for further copies; None without panels."""
+    if flat is None:
+        return None
+    vertex = np.full(len(flat.panels.vertex), -1)
+    first = first_copies(flat)
+    vertex[first] = np.arange(len(first))
+    return vertex
+
+
+def _kept(values: dict, keep: np.ndarray | None) -> dict:
+    """A step's rows for the surface's own vertices; panels have no director angles to store."""
+    if keep is None:
+        return values
+    stands = keep[values["point_index"]] >= 0
+    kept = {"points": values["points"][stands], "point_index": keep[values["point_index"]][stands]}
+    if "point_data" in values:
+        kept["point_data"] = {name: rows[stands] for name, rows in values["point_data"].items()}
+    if "placements" in values:
+        kept["placements"] = values["placements"]
+    return kept
+
+
 def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict | None:
     """result.vtkhdf (the target, then the simulation from it, with the rest shape found), rest.obj and the pattern;
     flat: panels, where they were asked for. The pattern's figures."""
     problem, target = result.target.problem, result.target
-    own = problem.part.owned_vertices
+    keep = comm.bcast(_standing(flat))
     start = gathered(problem, target.x)
     rest = gathered(problem, target.x + problem.motion(result.rest))
     mode = gathered(problem, problem.motion(result.mode))
@@ -152,7 +176,10 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
         up: np.ndarray | None = -shell.gravity if shell.gravity.any() else None
         allowance = scene.inverse.seam_allowance
         if flat:
-            shell = on_panels(shell, flat)
+            first = first_copies(flat)
+            start, mode = start[first], mode[first]
+            flat_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
+            shell = replace(shell, rest_points=flat_points, rest_triangles=flat.panels.corners, flat=True)
             figures = write_pattern_files(folder, flat, allowance, up)
             write_sewn_rest(folder, flat, start, allowance, name)
         else:
@@ -163,19 +190,22 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
                 folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
                 comment=f"{METRES}\n{name}",
             )  # fmt: skip
-        mesh = static_mesh(model, shell, problem.directors)
+        mesh = static_mesh(model, shell, problem.directors and not flat)
         mesh = replace(mesh, point_data={**mesh.point_data, "mode": mode})
     with ResultWriter(
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
     ) as writer:
         at_target = rows(problem, target.rest.state(result.rest))
-        fields = {name: values[own] for name, values in target.fields().items()}
-        if fields:
-            at_target |= {"point_data": fields}
+        if target.obstacles:
+            own = problem.part.owned_vertices
+            at_target["point_data"] = {name: values[own] for name, values in target.fields().items()}
             at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])
-        writer.write_step(0.0, scalars={"residual": result.residual, "converged": 1.0}, **at_target)
+        writer.write_step(
+            0.0, scalars={"residual": result.residual, "converged": 1.0}, **_kept(at_target, keep)
+        )
         path = result.simulation.path
         with target.obstructed():
             simulated = rows(problem, path.state)
-        writer.write_step(1.0, scalars={"residual": 0.0, "converged": float(path.converged)}, **simulated)
+        scalars = {"residual": 0.0, "converged": float(path.converged)}
+        writer.write_step(1.0, scalars=scalars, **_kept(simulated, keep))
     return figures

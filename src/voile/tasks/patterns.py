@@ -8,7 +8,8 @@ import numpy as np
 from voile.errors import InputError, NotConverged
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.panels import split
-from voile.inverse.pattern import make_pattern, pattern_summary, write_rest_obj
+from voile.inverse.pattern import make_pattern, pattern_summary, sewing, write_rest_obj
+from voile.mesh import build_topology
 from voile.problem.shell import Shell
 
 
@@ -20,10 +21,43 @@ def lay_flat(model, shell: Shell, points: np.ndarray) -> FlatPanels:
     return flatten(split(shell.triangles, points, groups))
 
 
-def on_panels(shell: Shell, flat: FlatPanels) -> Shell:
-    """The shell with flat panels as rest shape."""
-    points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
-    return replace(shell, rest_points=points, rest_triangles=flat.panels.corners.astype(np.int32), flat=True)
+def cut_apart(shell: Shell, flat: FlatPanels) -> Shell:
+    """The shell as its panels, sewn as its pattern will be: with copies of the vertices along the cuts, stitches that
+    join them and the flat panels as rest shape. Clamps on edges that are cut stay on their first copy."""
+    panels = flat.panels
+    vertex, joined = panels.vertex, sewing(panels)
+    first = first_copies(flat)
+    corners = panels.corners.astype(np.int32)
+    topology = build_topology(corners)
+    pairs = {tuple(sorted(ends)) for ends in shell.topology.edges[shell.clamped_edges].tolist()}
+    held = [k for k, ends in enumerate(vertex[topology.edges].tolist()) if tuple(sorted(ends)) in pairs]
+    force = None
+    if shell.force is not None:
+        force = np.zeros((len(vertex), 3))
+        force[first] = shell.force
+    return replace(
+        shell,
+        points=shell.points[vertex],
+        triangles=corners,
+        rest_points=np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))]),
+        rest_triangles=corners,
+        flat=True,
+        fixed=shell.fixed[vertex],
+        motion=shell.motion[vertex],
+        clamped_edges=np.array(held, dtype=np.int32),
+        slave=np.concatenate([first[shell.slave], joined.slave]).astype(np.int32),
+        first=np.concatenate([first[shell.first], joined.first]).astype(np.int32),
+        second=np.concatenate([first[shell.second], joined.second]).astype(np.int32),
+        weight=np.concatenate([shell.weight, joined.weight]),
+        force=force,
+        closing=None if shell.closing is None else shell.closing[vertex],
+        topology=topology,
+    )
+
+
+def first_copies(flat: FlatPanels) -> np.ndarray:
+    """(n,) panel vertex that stands for each vertex of the surface."""
+    return np.unique(flat.panels.vertex, return_index=True)[1]
 
 
 def moved(flat: FlatPanels, coordinates: np.ndarray) -> FlatPanels:
