@@ -52,3 +52,24 @@ def octahedron() -> tuple[np.ndarray, np.ndarray]:
 
 def cylinder():
     return generator("cylinder").cylinder(radius=0.2, length=0.5, sector=150.0, size=0.04)[:2]
+
+
+def t_shirt() -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, tuple[str, ...]]]:
+    """Front and back in cells of 0.1 m, sewn at shoulders and along sleeves and sides, lying flat on each other.
+
+    Body of 6 x 6 cells, sleeves of 3 x 2 beside its upper end, a neck hole 2 cells wide.
+    """
+    uv, triangles = patterns.grid(12, 6)
+    x, y = 12 * uv[:, 0] - 6, 6 * uv[:, 1]
+    middle_x, middle_y = (v[triangles].mean(axis=1) for v in (x, y))
+    shape = triangles[(abs(middle_x) < 3) | (middle_y > 4)]
+    sewn = (abs(y - 6) < 1e-9) & (abs(x) > 0.9)  # shoulders
+    sewn |= (abs(abs(x) - 3) < 1e-9) & (y < 4.1)  # sides
+    sewn |= (abs(y - 4) < 1e-9) & (abs(x) > 2.9)  # under the sleeves
+    n = len(x)
+    back = np.where(sewn, np.arange(n), n + np.arange(n))
+    flat = 0.1 * np.column_stack([x, y, np.zeros(n)])
+    points, both = np.concatenate([flat, flat]), np.concatenate([shape, back[shape][:, ::-1]])
+    used, both = np.unique(both, return_inverse=True)
+    group = np.repeat([0, 1], len(shape))
+    return points[used], both.reshape(-1, 3), (group, ("front", "back"))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from mesh_helpers import generator
-from pattern_shapes import cylinder, gores, octahedron, skirt, torus
+from pattern_shapes import cylinder, gores, octahedron, skirt, t_shirt, torus
 
 from voile.errors import InputError
 from voile.inverse.flatten import distortion, flatten, flatten_disc
@@ -74,6 +74,21 @@ def test_closed_surfaces_are_cut_to_one_disc(shape, seams):
     assert len(panels.outlines) == 1 and len(panels.vertex) - len(edges) + len(triangles) == 1
     assert len(panels.seams) == seams
     assert sum(len(seam.sides[0]) - 1 for seam in panels.seams) * 2 == len(panels.outlines[0])
+
+
+def test_a_t_shirt_is_sewn_at_its_shoulders_and_sides():
+    points, triangles, groups = t_shirt()
+    panels = split(triangles, points, groups=groups)
+    assert panels.names == ("front", "back") and [seam.panels for seam in panels.seams] == [(0, 1)] * 4
+    lengths = [
+        np.linalg.norm(np.diff(points[panels.vertex[s.sides[0]]], axis=0), axis=1).sum() for s in panels.seams
+    ]
+    assert sorted(lengths) == pytest.approx([0.5, 0.5, 0.7, 0.7])
+    flat = flatten(panels)
+    assert abs(edge_errors(panels, flat.coordinates)).max() < 1e-12
+    one = split(triangles, points)  # without groups: neck, hem and sleeves joined by three cuts
+    edges = build_topology(one.corners).edges
+    assert len(one.outlines) == 1 and len(one.vertex) - len(edges) + len(triangles) == 1
 
 
 def test_a_group_in_two_pieces_gives_two_numbered_panels():

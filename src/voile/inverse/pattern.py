@@ -17,6 +17,7 @@ LEVEL = 0.3  # mean slope of the grain direction on a panel below which the pane
 CORNER = np.radians(30.0)  # turn of the sew line at a turn point
 REACH = 0.01  # of the perimeter: the directions before and after a point are those of chords so long
 NOTCHES = (1 / 3, 2 / 3)  # of a seam
+NOTCHED = 0.05  # m: a shorter seam needs no notches between its ends
 TOUCHING = 1e-8  # m
 MITRE = 2.0  # longest corner of the cut line, in allowances
 GAP = 0.04  # m between pieces
@@ -181,7 +182,7 @@ def _label(k: int) -> str:
 
 
 def _notches(k: int, seams: Sequence[Seam], labels: list[str], x: np.ndarray, turns: np.ndarray) -> Notches:
-    """Of panel k: at NOTCHES of every seam and where one ends without a corner."""
+    """Of panel k: at NOTCHES of every seam that is long enough, and where one ends without a corner."""
     points, inward, names = [], [], []
     for seam, label in zip(seams, labels, strict=True):
         for side in (0, 1):
@@ -189,7 +190,8 @@ def _notches(k: int, seams: Sequence[Seam], labels: list[str], x: np.ndarray, tu
                 continue
             run, at = seam.sides[side], seam.at[side]
             ends = [t for t, v in ((0.0, run[0]), (1.0, run[-1])) if v not in turns]
-            for t in sorted({*NOTCHES, *ends}):
+            inner = NOTCHES if np.linalg.norm(np.diff(x[run], axis=0), axis=1).sum() >= NOTCHED else ()
+            for t in sorted({*inner, *ends}):
                 edge = min(int(np.searchsorted(at, t, side="right")) - 1, len(at) - 2)
                 tangent = x[run[edge + 1]] - x[run[edge]]
                 left = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)

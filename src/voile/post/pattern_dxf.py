@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError
+from voile.post.pattern_svg import seam_labels
 from voile.results import Pattern, Piece
 
 CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT = "1", "2", "4", "7", "8", "14", "15"
@@ -26,15 +27,13 @@ def write_dxf(path: str | Path, pattern: Pattern) -> None:
         document.layers.add(layer)
     names = _block_names([piece.name for piece in pattern.pieces])
     space = document.modelspace()
-    for k, (piece, name) in enumerate(zip(pattern.pieces, names, strict=True)):
-        block = document.blocks.new(name)
+    blocks = [document.blocks.new(name) for name in names]
+    for piece, block, name in zip(pattern.pieces, blocks, names, strict=True):
         _draw(block, piece)
-        for seam in pattern.seams:
-            for index, side in zip(seam.pieces, seam.sides, strict=True):
-                if index == k:
-                    run = 1e3 * piece.points[side]
-                    _write(block, run[len(run) // 2], f"Seam: {seam.label}")
         space.add_blockref(name, (0, 0), dxfattribs={"layer": CUT})
+    for k, label, at, inward, height in seam_labels(pattern):
+        letters = min(1.0, 1e3 * height / LETTER)
+        _write(blocks[k], 1e3 * at + 4 * letters * LETTER * inward, f"Seam: {label}", letters)
     _write(space, [0.0, -3 * LETTER], "Units: METRIC")
     text = io.StringIO()
     document.write(text)
@@ -61,13 +60,18 @@ def _draw(block, piece: Piece) -> None:
             block.add_point(point, dxfattribs={"layer": layer})
     low, high = (1e3 * piece.grain).tolist()
     block.add_line(low, high, dxfattribs={"layer": GRAIN})
-    for point, label in zip(1e3 * piece.notches.points, piece.notches.labels, strict=True):
-        _write(block, point, f"Notch: {label}", 0.5)
-    at = 1e3 * piece.grain.mean(axis=0)
+    notches = piece.notches
+    for point, inward, label in zip(1e3 * notches.points, notches.inward, notches.labels, strict=True):
+        _write(block, point + 2 * LETTER * inward, f"Notch: {label}", 0.5)
+    middle = 1e3 * piece.grain.mean(axis=0)
     for k, line in enumerate((f"Piece Name: {piece.name}", "Quantity: 1")):
-        _write(block, at + np.array([LETTER, -1.5 * k * LETTER]), line)
+        _write(block, middle + np.array([0.0, -1.5 * k * LETTER]), line)
 
 
 def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0) -> None:
-    attributes = {"layer": TEXT, "height": letters * LETTER, "insert": (float(at[0]), float(at[1]))}
-    space.add_text(text, dxfattribs=attributes)
+    """Text centred at a point (mm)."""
+    from ezdxf.enums import TextEntityAlignment
+
+    place = (float(at[0]), float(at[1]))
+    line = space.add_text(text, height=letters * LETTER, dxfattribs={"layer": TEXT})
+    line.set_placement(place, align=TextEntityAlignment.MIDDLE_CENTER)

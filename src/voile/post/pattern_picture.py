@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import arrows, label_place, notch_lines
+from voile.post.pattern_svg import arrows, notch_lines, seam_labels
 from voile.results import Pattern, Piece
 
 INK, SEAM, NOTCH, CLOTH = "#1b1f24", "#1f5fa8", "#b3261e", "#f6f3ea"
@@ -27,8 +27,8 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
 
     everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
     low, size = everything.min(axis=0), np.ptp(everything, axis=0)
-    height = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
-    figure, axes = pyplot.subplots(figsize=(width, height), layout="constrained")
+    tall = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
+    figure, axes = pyplot.subplots(figsize=(width, tall), layout="constrained")
     shares = [np.maximum(p.stretches[:, 0] - 1, 1 - p.stretches[:, 1]) for p in pattern.pieces]
     worst = max(float(share.max()) for share in shares)
     # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
@@ -37,18 +37,10 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     for piece, share in zip(pattern.pieces, shares, strict=True):
         colours = _draw_piece(axes, piece, share, limit, letter)
         _write_name(axes, piece, _percent(share.max()), scale)
-    for seam in pattern.seams:
-        for index, side, turn in zip(seam.pieces, seam.sides, (1, -1), strict=True):
-            at, inward = label_place(pattern.pieces[index].points[side], turn)
-            style = {
-                "color": SEAM,
-                "fontsize": 9,
-                "weight": "bold",
-                "ha": "center",
-                "va": "center",
-                "bbox": BOX,
-            }
-            axes.text(*(at + 1.4 * letter * inward), seam.label, **style)
+    for _, label, at, inward, height in seam_labels(pattern):
+        points = float(np.clip(height * scale, 3.0, 9.0))
+        style = {"color": SEAM, "fontsize": points, "weight": "bold", "ha": "center", "va": "center"}
+        axes.text(*(at + 1.1 * points / scale * inward), label, bbox=BOX, **style)
     axes.set_aspect("equal")
     axes.set_xlim(low[0] - letter, low[0] + size[0] + letter)
     axes.spines[["top", "right"]].set_visible(False)
@@ -87,8 +79,8 @@ def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter
 
 def _write_name(axes: Any, piece: Piece, figure: str, scale: float) -> None:
     """Name and distortion on the grain line, as small as the piece asks for; scale: points per m."""
-    room = 0.7 * np.ptp(piece.points[:, 0]) * scale
-    size = float(np.clip(room / (0.6 * max(len(piece.name), len(figure))), 5.0, 10.0))
+    room = np.ptp(piece.points, axis=0) * scale * [0.45, 0.15]
+    size = float(np.clip(min(room[0] / (0.6 * max(len(piece.name), len(figure))), room[1]), 4.0, 9.0))
     style = {"color": INK, "fontsize": size, "ha": "center", "va": "center", "linespacing": 1.3, "bbox": BOX}
     axes.text(*piece.grain.mean(axis=0), f"{piece.name}\n{figure}", **style)
 

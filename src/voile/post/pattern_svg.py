@@ -1,12 +1,13 @@
 """pattern.svg: a sewing pattern in millimetres at true scale, one group of each kind of line, named as in the DXF."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from voile.errors import InputError
-from voile.results import Pattern
+from voile.results import Pattern, Piece
 
 MARGIN = 20.0  # mm
 LETTER = 0.011  # height of seam labels, of the drawing's size
@@ -91,7 +92,7 @@ class _Page:
         place = {"x": f"{x:.3f}", "y": f"{y + 0.35 * size:.3f}", "font-size": f"{size:.2f}", **style}
         ElementTree.SubElement(self.layers["text"], "text", {"text-anchor": "middle", **place}).text = text
 
-    def draw(self, piece, key: str) -> None:
+    def draw(self, piece: Piece, key: str) -> None:
         """Lines, marks and name of a piece."""
         letter = 1e-3 * self.letter  # in metres, as the pattern
         self.path("cut", key, list(piece.cut), closed=True, **{"fill": "#f6f3ea", "fill-rule": "evenodd"})
@@ -105,11 +106,10 @@ class _Page:
         self.write(beside, piece.name, 1.5, **{"text-anchor": "start", "font-weight": "bold"})
 
     def seams(self, pattern: Pattern) -> None:
-        """The label of each seam inside both its sides, at the middle."""
-        for seam in pattern.seams:
-            for piece, side, turn in zip(seam.pieces, seam.sides, (1, -1), strict=True):
-                at, inward = label_place(pattern.pieces[piece].points[side], turn)
-                self.write(at + 1.6e-3 * self.letter * inward, seam.label, fill=LAYERS["sew"][1])
+        """The label of each seam inside both its sides, smaller where there is little room."""
+        for _, label, at, inward, height in seam_labels(pattern):
+            letters = min(1.0, 1e3 * height / self.letter)
+            self.write(at + 1.2e-3 * letters * self.letter * inward, label, letters, fill=LAYERS["sew"][1])
 
     def bar(self, height: float) -> None:
         """Scale bar at the lower left, in page coordinates."""
@@ -125,7 +125,7 @@ class _Page:
         ElementTree.SubElement(self.layers["text"], "text", note).text = f"{BAR:g} mm"
 
 
-def notch_lines(piece, length: float) -> list[np.ndarray]:
+def notch_lines(piece: Piece, length: float) -> list[np.ndarray]:
     """A stroke (2, 2) for each notch: from the sew line inwards, `length` long (m)."""
     n = piece.notches
     return [np.array([p, p + length * d]) for p, d in zip(n.points, n.inward, strict=True)]
@@ -137,11 +137,17 @@ def arrows(line: np.ndarray, length: float) -> list[np.ndarray]:
     return [line[1] + head, line[0] - head]
 
 
-def label_place(run: np.ndarray, turn: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where a run (k, 2) is labelled, near its middle, and the unit normal there: left for turn = 1, right for -1."""
-    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(run, axis=0), axis=1)))
-    place = LABEL * length[-1]
-    at = np.array([np.interp(place, length, run[:, i]) for i in (0, 1)])
-    edge = int(np.searchsorted(length, place))
-    tangent = run[edge] - run[edge - 1]
-    return at, turn * np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
+def seam_labels(pattern: Pattern) -> Iterator[tuple[int, str, np.ndarray, np.ndarray, float]]:
+    """For both sides of every seam the piece, the seam's label, the point of the side where it is written, the unit
+    normal (2,) there, into the piece, and the height (m) of letters that there is room for."""
+    for seam in pattern.seams:
+        # the first side follows its outline, which is counter-clockwise, the second goes against it
+        for index, side, length, left in zip(seam.pieces, seam.sides, seam.lengths, (1, -1), strict=True):
+            points = pattern.pieces[index].points
+            run = points[side]
+            along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(run, axis=0), axis=1)))
+            at = np.array([np.interp(LABEL * length, along, run[:, i]) for i in (0, 1)])
+            edge = int(np.searchsorted(along, LABEL * length))
+            tangent = run[edge] - run[edge - 1]
+            inward = left * np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
+            yield index, seam.label, at, inward, min(0.35 * length, 0.18 * np.ptp(points, axis=0).min())
