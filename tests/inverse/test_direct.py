@@ -10,6 +10,8 @@ from voile.errors import NotConverged
 from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
+from voile.solver.path import StaticsOptions, require
+from voile.solver.statics import solve_statics
 
 LENGTH, WIDTH, THICKNESS, DENSITY = 0.3, 0.03, 1e-3, 300.0
 
@@ -155,3 +157,18 @@ def test_captured_target_that_hovers_starts_without_a_jump():
     result = solve(on_rod(), [rod(0.5, radius=0.0991)], contact_tolerance=1e-3)
     assert result.converged, result.reason
     assert result.simulation.sag < 1e-10
+
+
+def test_a_draped_sheet_gives_back_its_rest_shape_from_near_it_and_another_from_afar():
+    """Simulated forward from a known rest shape: the target stands again; the answer is not unique."""
+    known = hanging_sheet(young=5e8)
+    draping = Problem(known, MPI.COMM_SELF)
+    draped = require(solve_statics(draping, StaticsOptions(tolerance=1e-12)))
+    shape = hanging_sheet(young=5e8)
+    shape.points = shape.rest_points = draping.positions(draped.state)
+    near = solve_inverse(Problem(shape, MPI.COMM_SELF), shape, [], 0.0, guess=known.points + 1e-6)
+    afar = solve_inverse(Problem(shape, MPI.COMM_SELF), shape, [], 0.0)
+    for result in (near, afar):
+        assert result.converged and result.simulation.sag < 1e-8, result.reason
+    assert inverse_report(near)["rest_distance_to_guess"] < 1e-5
+    assert inverse_report(near)["direct_iterations"] < inverse_report(afar)["direct_iterations"]

@@ -72,10 +72,13 @@ class Direct:
         self.lu.setFactorSolverType("mumps")
         self.lu.setFromOptions()
 
-    def follow(self, on_step: Progress | None = None) -> DirectPath:
-        """The branch from the target itself without load to the full load, or to where it ends."""
+    def follow(self, on_step: Progress | None = None, guess: PETSc.Vec | None = None) -> DirectPath:
+        """The branch from the target itself without load to the full load, or to where it ends. guess: rest
+        displacements from which the full load is tried first."""
         z = self.problem.create_vector()
         path = DirectPath(rest=z.copy())
+        if guess is not None and self._take(guess, path, on_step):
+            return path
         step = 1.0
         while path.fraction < 1.0:
             fraction = min(1.0, path.fraction + step)
@@ -109,6 +112,21 @@ class Direct:
         self.rest.set(path.rest)
         self.target.hold(path.rest)
         return path
+
+    def _take(self, guess: PETSc.Vec, path: DirectPath, on_step: Progress | None) -> bool:
+        """Whether Newton's method from a guess ends stable under the full load; then the path is complete."""
+        z = guess.copy()
+        reason, norm, iterations = self.solve(z, 1.0)
+        path.iterations += iterations
+        if reason or self.negative(z):
+            return False
+        path.rest, path.fraction, path.residual, path.converged = z, 1.0, norm, True
+        path.steps.append(DirectStep(1.0, iterations, norm, 0))
+        if on_step:
+            on_step(path.steps[-1])
+        self.rest.set(z)
+        self.target.hold(z)
+        return True
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
         """Newton's method at a fraction of the load from z, which ends at the solution: reason of a failure or empty,

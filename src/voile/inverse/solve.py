@@ -61,6 +61,7 @@ class InverseResult:
     seconds: dict[str, float]
     panels: PanelRest | None = None
     trade: list[dict[str, float]] | None = None
+    guess: np.ndarray | None = None
 
     @property
     def stable(self) -> bool:
@@ -100,14 +101,18 @@ def solve_inverse(
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
     exempt: np.ndarray | None = None,
+    guess: np.ndarray | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface. exempt: vertices of the shell that may have an angle defect in a developable rest
-    shape, beside boundaries and seams. Raises NotConverged where no reactions can hold the target."""
+    shape, beside boundaries and seams; guess (n, 3) m: rest positions to start from. exempt and guess on rank 0. Raises
+    NotConverged where no reactions can hold the target."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
     began = time.perf_counter()
-    path = Direct(target).follow(on_step)
+    guess = problem.comm.bcast(guess)
+    away = None if guess is None else guess[problem.part.vertex] - target.x
+    path = Direct(target).follow(on_step, None if away is None else target.field_vector(away))
     adjoint = None
     if not path.converged and options.method == "adjoint":
         target.load(1.0)
@@ -131,8 +136,9 @@ def solve_inverse(
         mode = path.mode
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
     return InverseResult(
-        target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade
-    )
+        target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
+        guess=away,
+    )  # fmt: skip
 
 
 def _make_developable(
@@ -212,7 +218,9 @@ def inverse_report(result: InverseResult) -> dict:
     target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
     low, high = (result.panels or target.rest).area_ratios()
-    moved = np.linalg.norm(problem.motion(result.rest), axis=1)
+    rest = problem.motion(result.rest)
+    moved = np.linalg.norm(rest, axis=1)
+    off = np.zeros(0) if result.guess is None else np.linalg.norm(rest - result.guess, axis=1)
     return {
         "load_fraction": direct.fraction,
         "critical_fraction": direct.critical,
@@ -226,6 +234,7 @@ def inverse_report(result: InverseResult) -> dict:
         "forward_solves": (adjoint.forward_solves if adjoint else 0) + 2,
         "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,
         "rest_displacement": problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX),
+        "rest_distance_to_guess": problem.comm.allreduce(float(off.max(initial=0.0)), op=MPI.MAX),
         "rest_area_ratio": [low, high],
         "reactions": _reactions(target),
         **(

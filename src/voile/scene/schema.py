@@ -310,6 +310,12 @@ class Scene:
     path: Path = Path()
 
     def check(self, given: set[str]) -> None:
+        if self.scene.task == "inverse" and self.shell.rest == "flat" and not self.inverse.estimate:
+            raise Rejected(
+                '"flat" is not a first guess of a rest surface; allowed: a file, or inverse.developable = "panels" '
+                "without shell.rest",
+                ("shell", "rest"),
+            )
         if self.scene.task == "inverse" and self.inverse.estimate:
             if self.shell.rest is None:
                 raise Rejected(

@@ -53,7 +53,9 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         flat = moved(flat, found) if flat else None
     else:
         problem = Problem(shell, comm)
-        result = solve_inverse(problem, shell, bodies, offset, options, *says, _borders(model))
+        result = solve_inverse(
+            problem, shell, bodies, offset, options, *says, _borders(model), _guess(scene, model)
+        )
     start = time.perf_counter()
     report = inverse_report(result)
     report["pattern"] = _write_rest(scene, model, shell, folder, result, flat, comm)
@@ -124,6 +126,11 @@ def _on_root(comm, action):
     if failure is not None:
         raise failure
     return outcome
+
+
+def _guess(scene, model) -> np.ndarray | None:
+    """(n, 3) the rest shape that the scene gives as first guess, None without."""
+    return None if model is None or scene.shell.rest is None else model.rest.points
 
 
 def _borders(model) -> np.ndarray | None:
