@@ -44,7 +44,7 @@ def test_skirt_is_cut_open_down_the_middle_of_its_back():
 def test_gores_are_sewn_along_their_four_seams():
     points, triangles = skirt()
     panels = split(triangles, points, groups=gores(points, triangles))
-    assert sorted(panels.names) == ["back", "front", "left", "right"]
+    assert panels.names == ("front", "left", "back", "right")  # in the order of the groups
     joined = sorted(sorted(panels.names[k] for k in seam.panels) for seam in panels.seams)
     assert joined == [["back", "left"], ["back", "right"], ["front", "left"], ["front", "right"]]
     for seam in panels.seams:
@@ -62,7 +62,8 @@ def test_given_seams_cut_the_same_gores():
         [np.column_stack([s[:-1], s[1:]]) for s in (grouped.vertex[q.sides[0]] for q in grouped.seams)]
     )
     seamed = split(triangles, points, seams=pairs)
-    assert np.array_equal(seamed.corners, grouped.corners)
+    first = [grouped.panel[seamed.panel == k] for k in range(4)]  # the same pieces, numbered as they appear
+    assert sorted(p[0] for p in first) == [0, 1, 2, 3] and all(np.ptp(p) == 0 for p in first)
     assert seamed.names == ("panel-1", "panel-2", "panel-3", "panel-4")
 
 
@@ -95,7 +96,7 @@ def test_a_group_in_two_pieces_gives_two_numbered_panels():
     points, triangles = skirt()
     index = gores(points, triangles)[0]
     panels = split(triangles, points, groups=(index % 2, ("front and back", "sides")))
-    assert sorted(panels.names) == ["front and back-1", "front and back-2", "sides-1", "sides-2"]
+    assert panels.names == ("front and back-1", "front and back-2", "sides-1", "sides-2")
 
 
 # ---- flattening ----

@@ -80,7 +80,8 @@ def split(
         cut[_edges_at(topology.edges, np.asarray(seams), np.bincount(edge, minlength=len(cut)) > 0)] = True
     if cut_open if cut_open is not None else groups is None and seams is None:
         cut = _cut_to_discs(triangles, points, cut, np.asarray(back, dtype=float))
-    corners, vertex, panel = _pieces(triangles, cut)
+    group = np.zeros(len(triangles), dtype=np.int64) if groups is None else np.asarray(groups[0])
+    corners, vertex, panel = _pieces(triangles, cut, group)
     names = _names(panel, groups)
     _check_discs(corners, panel, names, topology.edges[cut])
     vertex_panel = np.empty(len(vertex), dtype=np.int64)
@@ -125,9 +126,11 @@ def _edges_at(edges: np.ndarray, pairs: np.ndarray, inside: np.ndarray) -> np.nd
     return found
 
 
-def _pieces(triangles: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(
+    triangles: np.ndarray, cut: np.ndarray, group: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Triangles (m, 3) in vertices that are separate across the `cut` edges; their surface vertices, ordered by
-    piece; the piece (m,) of each triangle, numbered as they appear."""
+    piece; the piece (m,) of each triangle, numbered by group (m,), then as they appear."""
     topology = build_topology(triangles)
     keep = np.flatnonzero((topology.across.ravel() >= 0) & ~cut[topology.triangle_edges.ravel()])
     t, i = keep // 3, keep % 3
@@ -138,7 +141,7 @@ def _pieces(triangles: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndar
     _, copy = connected_components(_graph(one, other, 3 * m), directed=False)
     _, label = connected_components(_graph(t, s, m), directed=False)
     _, first, label = np.unique(label, return_index=True, return_inverse=True)
-    panel = np.argsort(np.argsort(first))[label]
+    panel = np.argsort(np.lexsort((first, group[first])))[label]
     _, corner = np.unique(copy, return_index=True)
     vertex, piece = triangles.ravel()[corner], panel[corner // 3]
     order = np.lexsort((vertex, piece))
@@ -192,7 +195,7 @@ def _cut_to_discs(triangles: np.ndarray, points: np.ndarray, cut: np.ndarray, ba
     inside = np.ones(len(cut), dtype=bool)
     inside[topology.boundary_edges] = False
     while True:
-        corners, vertex, panel = _pieces(triangles, cut)
+        corners, vertex, panel = _pieces(triangles, cut, np.zeros(len(triangles)))
         wrong = np.flatnonzero(_euler(corners, panel) != 1)
         if not len(wrong):
             return cut
