@@ -1,6 +1,7 @@
 """A shell against itself: distances and their derivatives, the laws' derivatives, stacks with known forces, loops."""
 
 import sys
+from pathlib import Path
 
 import ipctk
 import numpy as np
@@ -9,6 +10,7 @@ from mesh_helpers import generator
 from protocols import UP, held, plate, shell_of
 from test_state import taylor_rates
 
+from voile.cli import main
 from voile.contact.closest import closest_of_edges, closest_to_triangle, derivatives
 from voile.contact.obstacles import Plane
 from voile.contact.self_contact import Layers, OnItself, near_along
@@ -217,7 +219,7 @@ def test_friction_of_a_dragged_patch():
 
 def loop_shell() -> tuple[Shell, float]:
     """A ring of a strip, held at its ends, its sides pinched into each other; offset."""
-    length, cells, offset = 1.0, 40, 2e-3
+    length, cells, offset = 1.0, 32, 2e-3
     rest, triangles = plate(length, 0.1, length / cells)
     at, radius = rest[:, 0] / length, 0.5 * length / np.pi
     turn = 2.0 * np.pi * (0.97 * at + 0.015)
@@ -280,20 +282,38 @@ self_contact = true
 """
 
 
-@pytest.mark.mpi
-def test_ranks_agree(tmp_path, mpirun):
+def loop_scene(folder: Path) -> Path:
+    """That ring as a scene for the command line."""
     shell, offset = loop_shell()
-    write_obj(tmp_path / "loop.obj", shell.points, shell.triangles)
-    write_obj(tmp_path / "strip.obj", shell.rest_points, shell.triangles)
+    write_obj(folder / "loop.obj", shell.points, shell.triangles)
+    write_obj(folder / "strip.obj", shell.rest_points, shell.triangles)
     text = LOOP.format(offset=offset)
     for move in np.unique(shell.motion[shell.fixed[:, 0]], axis=0):
         nodes = np.flatnonzero(shell.fixed[:, 0] & (shell.motion == move).all(axis=1))
         text += f"[[fix]]\nselect.nodes = {nodes.tolist()}\nmove.displacement = {move.tolist()}\n"
-    (tmp_path / "scene.toml").write_text(text)
+    (folder / "scene.toml").write_text(text)
+    return folder / "scene.toml"
+
+
+def test_explain_tells_of_self_contact(tmp_path, capsys):
+    path = str(loop_scene(tmp_path))
+    assert main(["explain", path]) == 0
+    told = capsys.readouterr().out
+    assert (
+        "+ self-contact     mid-surfaces keep 0.004 m" in told
+        and "- friction         friction 0 on itself" in told
+    )
+    assert main(["explain", path, "--set", "contact.self_contact=false"]) == 0
+    assert "- self-contact     contact.self_contact is false" in capsys.readouterr().out
+
+
+@pytest.mark.mpi
+def test_ranks_agree(tmp_path, mpirun):
+    path = loop_scene(tmp_path)
     found = []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)
-        command = [sys.executable, "-m", "voile.cli", "run", str(tmp_path / "scene.toml"), "-o", str(out)]
+        command = [sys.executable, "-m", "voile.cli", "run", str(path), "-o", str(out)]
         done = mpirun(ranks, command, 120)
         assert done.returncode == 0, done.stderr
         summary = read_summary(out / "summary.json")
