@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import seam_labels
+from voile.post.pattern_svg import name_height, seam_labels
 from voile.results import Pattern, Piece
 
 CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT = "1", "2", "4", "7", "8", "14", "15"
@@ -64,8 +64,10 @@ def _draw(block, piece: Piece) -> None:
     for point, inward, label in zip(1e3 * notches.points, notches.inward, notches.labels, strict=True):
         _write(block, point + 2 * LETTER * inward, f"Notch: {label}", 0.5)
     middle = 1e3 * piece.grain.mean(axis=0)
-    for k, line in enumerate((f"Piece Name: {piece.name}", "Quantity: 1")):
-        _write(block, middle + np.array([0.0, -1.5 * k * LETTER]), line)
+    lines = (f"Piece Name: {piece.name}", "Quantity: 1")
+    letters = min(1.0, 1e3 * name_height(piece, len(lines[0])) / LETTER)
+    for k, line in enumerate(lines):
+        _write(block, middle - np.array([0.0, 1.5 * k * letters * LETTER]), line, letters)
 
 
 def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import arrows, notch_lines, seam_labels
+from voile.post.pattern_svg import arrows, mark_length, name_height, notch_lines, seam_labels
 from voile.results import Pattern, Piece
 
 INK, SEAM, NOTCH, CLOTH = "#1b1f24", "#1f5fa8", "#b3261e", "#f6f3ea"
@@ -69,9 +69,10 @@ def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter
     )
     outline = piece.points[piece.outline]
     axes.plot(*np.vstack([outline, outline[:1]]).T, color=SEAM, linewidth=0.8)
-    for line in notch_lines(piece, letter):
+    mark = mark_length(piece, letter)
+    for line in notch_lines(piece, mark):
         axes.plot(*line.T, color=NOTCH, linewidth=1.2)
-    for line in (piece.grain, *arrows(piece.grain, letter)):
+    for line in (piece.grain, *arrows(piece.grain, mark)):
         axes.plot(*line.T, color=INK, linewidth=0.9)
     axes.plot(*piece.points[piece.turns].T, "x", color=INK, markersize=4, markeredgewidth=0.8)
     return colours
@@ -79,8 +80,8 @@ def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter
 
 def _write_name(axes: Any, piece: Piece, figure: str, scale: float) -> None:
     """Name and distortion on the grain line, as small as the piece asks for; scale: points per m."""
-    room = np.ptp(piece.points, axis=0) * scale * [0.45, 0.15]
-    size = float(np.clip(min(room[0] / (0.6 * max(len(piece.name), len(figure))), room[1]), 4.0, 9.0))
+    room = name_height(piece, max(len(piece.name), len(figure)))
+    size = float(np.clip(room * scale, 4.0, 9.0))
     style = {"color": INK, "fontsize": size, "ha": "center", "va": "center", "linespacing": 1.3, "bbox": BOX}
     axes.text(*piece.grain.mean(axis=0), f"{piece.name}\n{figure}", **style)
 

@@ -94,16 +94,21 @@ class _Page:
 
     def draw(self, piece: Piece, key: str) -> None:
         """Lines, marks and name of a piece."""
-        letter = 1e-3 * self.letter  # in metres, as the pattern
+        mark = mark_length(piece, 1e-3 * self.letter)
         self.path("cut", key, list(piece.cut), closed=True, **{"fill": "#f6f3ea", "fill-rule": "evenodd"})
         self.path("sew", key, [piece.points[piece.outline]], closed=True)
-        self.path("notch", key, notch_lines(piece, letter))
+        self.path("notch", key, notch_lines(piece, mark))
         turns = piece.points[piece.turns]
-        cross = 0.4 * letter * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
+        cross = 0.4 * mark * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
         self.path("internal", key, [t + cross[[i, i + 1]] for t in turns for i in (0, 2)])
-        self.path("grain", key, [piece.grain, *arrows(piece.grain, letter)])
-        beside = piece.grain.mean(axis=0) + np.array([1.2 * letter, 0.0])
-        self.write(beside, piece.name, 1.5, **{"text-anchor": "start", "font-weight": "bold"})
+        self.path("grain", key, [piece.grain, *arrows(piece.grain, mark)])
+        letters = min(1.5, 1e3 * name_height(piece, len(piece.name)) / self.letter)
+        halo = {
+            "stroke": "#f6f3ea",
+            "stroke-width": f"{0.3 * letters * self.letter:.3f}",
+            "paint-order": "stroke",
+        }
+        self.write(piece.grain.mean(axis=0), piece.name, letters, **{"font-weight": "bold", **halo})
 
     def seams(self, pattern: Pattern) -> None:
         """The label of each seam inside both its sides, smaller where there is little room."""
@@ -123,6 +128,17 @@ class _Page:
         ElementTree.SubElement(self.layers["text"], "path", line)
         note = {"x": f"{MARGIN + BAR + 5}", "y": f"{y + 3:.3f}", "font-size": "10"}
         ElementTree.SubElement(self.layers["text"], "text", note).text = f"{BAR:g} mm"
+
+
+def mark_length(piece: Piece, length: float) -> float:
+    """Length of notches and arrow heads (m): the one given, less in a narrow piece."""
+    return min(length, 0.12 * float(np.ptp(piece.points, axis=0).min()))
+
+
+def name_height(piece: Piece, letters: int) -> float:
+    """Height (m) of a line of so many letters that there is room for in the middle of a piece."""
+    width, height = np.ptp(piece.points, axis=0)
+    return float(min(0.45 * width / (0.6 * letters), 0.15 * height))
 
 
 def notch_lines(piece: Piece, length: float) -> list[np.ndarray]:
