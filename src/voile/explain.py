@@ -88,6 +88,13 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
 
 
 def _solver(scene: Scene, model: Model) -> str:
+    if scene.scene.task == "inverse" and not scene.inverse.estimate:
+        search = "Newton in the rest shape (MUMPS LU), inertia as certificate"
+        adjoint = "; adjoint method in TAO where the target is not stable" * (
+            scene.inverse.method == "adjoint"
+        )
+        further = {"panels": "; then flat panels in TAO", "constraint": "; then developable in TAO"}
+        return f"{search}{adjoint}{further.get(str(scene.inverse.developable), '')}; two simulations as proof"
     if not (model.obstacles or scene.contact.self_contact):
         return "Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
     return "semismooth Newton (then augmented Lagrangian, then pseudo-time), MUMPS LDL^T, LU where something slips"

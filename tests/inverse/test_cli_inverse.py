@@ -62,6 +62,11 @@ def on_a_rod(tmp_path):
 
 
 def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
+    told = [*command()[:3], "explain", "scene.toml"]
+    assert (
+        "Newton in the rest shape"
+        in subprocess.run(told, cwd=on_a_rod, capture_output=True, text=True).stdout
+    )
     code, said = run(on_a_rod)
     assert code == 0, said
     summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
