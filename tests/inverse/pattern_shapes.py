@@ -73,3 +73,10 @@ def t_shirt() -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, tuple[str, ...]
     used, both = np.unique(both, return_inverse=True)
     group = np.repeat([0, 1], len(shape))
     return points[used], both.reshape(-1, 3), (group, ("front", "back"))
+
+
+def ramp() -> tuple[np.ndarray, np.ndarray]:
+    """A ramp around an axis of more than a full turn: nearly flat, but one end over the other."""
+    uv, triangles = patterns.grid(40, 2)
+    turn, radius = np.radians(420) * uv[:, 0], 1 + uv[:, 1]
+    return np.column_stack([radius * np.cos(turn), 0.01 * turn, radius * np.sin(turn)]), triangles[:, ::-1]

@@ -7,8 +7,8 @@ import ezdxf
 import numpy as np
 import pytest
 import shapely
-from mesh_helpers import areas, generator
-from pattern_shapes import gores, hat, skirt
+from mesh_helpers import areas
+from pattern_shapes import gores, hat, ramp, skirt
 
 from voile.cli import main
 from voile.elastic import evaluate
@@ -253,10 +253,7 @@ def test_the_sewn_pattern_drapes_where_the_cone_was(flat, pattern, tmp_path):
 
 
 def test_a_panel_that_overlaps_itself_is_refused():
-    """A ramp around an axis of more than a full turn: flat enough, but one end over the other."""
-    uv, triangles = generator("patterns").grid(40, 2)
-    turn, radius = np.radians(420) * uv[:, 0], 1 + uv[:, 1]
-    points = np.column_stack([radius * np.cos(turn), 0.01 * turn, radius * np.sin(turn)])
+    points, triangles = ramp()
     flat = flatten(split(triangles, points))
     assert abs(flat.stretches - 1).max() < 1e-3
     with pytest.raises(InputError, match="panel 'panel-1' overlaps itself when laid flat"):

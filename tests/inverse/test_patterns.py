@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from mesh_helpers import generator
-from pattern_shapes import cylinder, gores, octahedron, skirt, t_shirt, torus
+from pattern_shapes import cylinder, gores, octahedron, ramp, skirt, t_shirt, torus
 
 from voile.errors import InputError
-from voile.inverse.flatten import distortion, flatten, flatten_disc
+from voile.inverse.apart import flatten_apart
+from voile.inverse.flatten import distortion, flatten, flatten_disc, overlaps
 from voile.inverse.panels import Panels, split
 from voile.inverse.pattern import sewing
 from voile.inverse.stitched import add_stitches
@@ -137,6 +138,19 @@ def test_a_hemisphere_is_laid_flat_with_least_energy():
     assert distortion(points, triangles, flat).min() > 0.5
     rim = abs(points[:, 2]) < 1e-12
     assert np.linalg.norm(flat[rim] - flat.mean(axis=0), axis=1).mean() > 0.11
+
+
+@pytest.mark.parametrize(("shape", "pieces"), [(ramp, 2), (lambda: t_shirt()[:2], 3)])
+def test_what_overlaps_itself_is_cut_in_two(shape, pieces):
+    points, triangles = shape()
+    whole = flatten(split(triangles, points))
+    assert overlaps(whole.coordinates[whole.panels.outlines[0]])
+    flat = flatten_apart(triangles, points)
+    assert len(flat.panels.names) == pieces
+    assert not any(overlaps(flat.coordinates[outline]) for outline in flat.panels.outlines)
+    assert len(flat.panels.seams) >= len(whole.panels.seams) + pieces - 1
+    sizes = np.bincount(flat.panels.panel) / len(triangles)
+    assert sizes.min() > 0.1  # no scraps
 
 
 def test_distortion_is_that_of_a_known_map():

@@ -8,6 +8,7 @@ method with the eigenvalues of the energy's Hessian in closed form (Smith, de Go
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -49,6 +50,13 @@ def distortion(points: np.ndarray, triangles: np.ndarray, flat: np.ndarray) -> n
     gradient, _ = _gradients(points, triangles)
     _, s, _ = _signed_svd(np.einsum("tij,tjk->tik", flat[triangles].transpose(0, 2, 1), gradient))
     return s
+
+
+def overlaps(outline: np.ndarray) -> bool:
+    """Whether a panel of this outline (b, 2), counter-clockwise, lies on itself; sides that just touch do not."""
+    one, two = outline, np.roll(outline, -1, axis=0)
+    area = 0.5 * np.sum(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
+    return bool(abs(shapely.make_valid(shapely.Polygon(outline)).area - area) > 1e-6 * area)
 
 
 def flatten_disc(points: np.ndarray, triangles: np.ndarray, name: str = "panel") -> np.ndarray:

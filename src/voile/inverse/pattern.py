@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from voile.errors import InputError
-from voile.inverse.flatten import FlatPanels
+from voile.inverse.flatten import FlatPanels, overlaps
 from voile.inverse.panels import Panels, Seam
 from voile.mesh import METRES, Notches, Pattern, Piece, SewnSeam, Stitches, write_obj
 
@@ -109,19 +109,14 @@ def _turned(x: np.ndarray, grain: np.ndarray) -> np.ndarray:
 
 def _cut_line(outline: np.ndarray, allowance: float, name: str) -> tuple[np.ndarray, ...]:
     """Rings (c, 2) of the cut line, the outer one first; InputError where the panel lies on itself."""
-    piece = shapely.Polygon(outline)
-    area = 0.5 * np.sum(
-        outline[:, 0] * np.roll(outline[:, 1], -1) - outline[:, 1] * np.roll(outline[:, 0], -1)
-    )
-    if abs(shapely.make_valid(piece).area - area) > 1e-6 * area:
+    if overlaps(outline):
         raise InputError(
             f"panel {name!r} overlaps itself when laid flat; cut it further, with seams or groups"
         )
     if allowance == 0:
         return (outline,)
-    sides = shapely.set_precision(
-        piece, TOUCHING, mode="pointwise"
-    )  # those of a cut without opening become one
+    # the two sides of a cut without opening become one
+    sides = shapely.set_precision(shapely.Polygon(outline), TOUCHING, mode="pointwise")
     wide = shapely.make_valid(sides).buffer(allowance, join_style="mitre", mitre_limit=MITRE)
     wide = shapely.orient_polygons(wide)
     return tuple(shapely.get_coordinates(ring)[:-1] for ring in (wide.exterior, *wide.interiors))
