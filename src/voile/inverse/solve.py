@@ -13,7 +13,7 @@ from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.direct import Direct, DirectPath, DirectStep
-from voile.inverse.target import Target
+from voile.inverse.target import HOLDS, Target
 from voile.inverse.verify import Simulation, simulate
 from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest
@@ -112,7 +112,7 @@ def solve_inverse(
     began = time.perf_counter()
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
-    path = Direct(target).follow(on_step, None if away is None else target.field_vector(away))
+    path = _direct(target, on_step, None if away is None else target.field_vector(away))
     adjoint = None
     if not path.converged and options.method == "adjoint":
         target.load(1.0)
@@ -139,6 +139,26 @@ def solve_inverse(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
         guess=away,
     )  # fmt: skip
+
+
+def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
+    """The direct method; at contacts that slide its outcome depends on how firmly they hold: the longest path."""
+    best, solver, iterations = None, Direct(target), 0
+    for hold in HOLDS if len(target.obstacles) else HOLDS[:1]:
+        target.firmness = hold * target.membrane
+        path = solver.follow(on_step, guess)
+        iterations += path.iterations
+        if best is None or path.fraction > best[0].fraction:
+            best = path, target.firmness
+        if path.converged or path.critical is not None:
+            break
+    assert best is not None
+    path, target.firmness = best
+    path.iterations = iterations
+    target.load(path.fraction)
+    target.rest.set(path.rest)
+    target.hold(path.rest)
+    return path
 
 
 def _make_developable(
@@ -189,7 +209,7 @@ def solve_panels(
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
     began = time.perf_counter()
-    path = Direct(target).follow(on_step)  # for the reactions at the target
+    path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
     panels = PanelRest(problem, coordinates)
     adjoint = minimise(
@@ -224,7 +244,7 @@ def inverse_report(result: InverseResult) -> dict:
     return {
         "load_fraction": direct.fraction,
         "critical_fraction": direct.critical,
-        "residual_at_target": result.residual,
+        "residual_at_target": result.residual if direct.steps else None,
         "sag": result.simulation.sag,
         "sag_disturbed": result.disturbed.sag,
         "stable": result.stable,

@@ -22,6 +22,11 @@ from voile.problem.supports import free_motions
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
+HOLDS = (
+    0.1,
+    1.0,
+    0.01,
+)  # stiffness of what holds rest positions at contacts over the shell's own, in the order tried
 CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and bears nothing
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
@@ -72,7 +77,8 @@ class Target:
         self._slope = np.zeros((len(self.cones.vertex), 3, 3))
         fabric, part = problem.part.fabric, problem.part
         total = comm.allreduce(np.array([(fabric[0] * fabric[1]) @ part.weight, part.weight.sum()]))
-        self.firmness = float(total[0] / total[1])  # N/m, about the shell's own at a vertex
+        self.membrane = float(total[0] / total[1])  # N/m, about the shell's own at a vertex
+        self.firmness = HOLDS[0] * self.membrane  # N/m, of the spring that holds rest positions at contacts
         self.least_friction: float | None = None
         self._used = self.cones
         self._settle_friction()
@@ -266,7 +272,7 @@ class Target:
         return self.tangent
 
     def _held(self):
-        firm, bearing = FIRM * self.firmness, self._bears()
+        firm, bearing = FIRM * self.membrane, self._bears()
         for touch, rows in self._rows():
             bears = bearing[rows]
             sticks = self.cones.friction[rows] > 0.0
