@@ -6,17 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.inverse.pattern import write_rest_obj
 from voile.mesh import METRES, write_obj
 from voile.results import ResultWriter, StaticMesh
 from voile.tasks.common import gathered, rows, summarise, versions
 from voile.tasks.patterns import (
     cut_apart,
+    draw,
     first_copies,
     lay_flat,
     moved,
     pattern_of_surface,
     write_pattern_files,
-    write_sewn_rest,
 )
 from voile.tasks.progress import Progress
 from voile.wiring import static_mesh
@@ -45,7 +46,9 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     says = progress.fraction, progress.optimisation
     flat = None
     if spec.developable == "panels":
-        flat = _on_root(comm, lambda: lay_flat(model, shell, _sewn(shell)) if shell is not None else None)
+        flat = _on_root(
+            comm, lambda: lay_flat(model, shell, _sewn(shell), apart=True) if shell is not None else None
+        )
         cut = cut_apart(shell, flat) if shell is not None and flat else None
         problem = Problem(cut, comm)
         coordinates = comm.bcast(flat.coordinates if flat else None)
@@ -187,8 +190,9 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
             start, mode = start[first], mode[first]
             flat_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
             shell = replace(shell, rest_points=flat_points, rest_triangles=flat.panels.corners, flat=True)
-            figures = write_pattern_files(folder, flat, allowance, up)
-            write_sewn_rest(folder, flat, start, allowance, name)
+            pattern = draw(flat, allowance, up)
+            figures = write_pattern_files(folder, pattern)
+            write_rest_obj(folder / "rest.obj", flat.panels, pattern, start, name)
         else:
             shell = replace(shell, rest_points=rest)
             assert rest is not None  # gathered here

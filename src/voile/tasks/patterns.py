@@ -6,19 +6,28 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError, NotConverged
+from voile.inverse.apart import flatten_apart
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.panels import split
-from voile.inverse.pattern import make_pattern, pattern_summary, sewing, write_rest_obj
-from voile.mesh import build_topology
+from voile.inverse.pattern import make_pattern, pattern_summary, sewing
+from voile.inverse.stitched import add_stitches
+from voile.mesh import Pattern, build_topology
 from voile.problem.shell import Shell
 
 
-def lay_flat(model, shell: Shell, points: np.ndarray) -> FlatPanels:
+def lay_flat(model, shell: Shell, points: np.ndarray, apart: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
-    several, else pieces cut to discs. Raises InputError or NotConverged where a panel cannot be laid flat."""
+    several, cut open to discs, with the mesh's stitches as seams. apart: panels that overlap themselves in the plane
+    are cut further. Raises InputError or NotConverged where a panel cannot be laid flat."""
     surface = model.surface
     groups = (surface.group, surface.group_names) if len(surface.group_names) > 1 else None
-    return flatten(split(shell.triangles, points, groups))
+    if apart:
+        flat = flatten_apart(shell.triangles, points, groups, cut_open=True)
+    else:
+        flat = flatten(split(shell.triangles, points, groups, cut_open=True))
+    if surface.stitches is None:
+        return flat
+    return replace(flat, panels=add_stitches(flat.panels, surface.stitches))
 
 
 def cut_apart(shell: Shell, flat: FlatPanels) -> Shell:
@@ -45,10 +54,10 @@ def cut_apart(shell: Shell, flat: FlatPanels) -> Shell:
         fixed=shell.fixed[vertex],
         motion=shell.motion[vertex],
         clamped_edges=np.array(held, dtype=np.int32),
-        slave=np.concatenate([first[shell.slave], joined.slave]).astype(np.int32),
-        first=np.concatenate([first[shell.first], joined.first]).astype(np.int32),
-        second=np.concatenate([first[shell.second], joined.second]).astype(np.int32),
-        weight=np.concatenate([shell.weight, joined.weight]),
+        slave=joined.slave.astype(np.int32),
+        first=joined.first.astype(np.int32),
+        second=joined.second.astype(np.int32),
+        weight=joined.weight,
         force=force,
         closing=None if shell.closing is None else shell.closing[vertex],
         topology=topology,
@@ -67,14 +76,18 @@ def moved(flat: FlatPanels, coordinates: np.ndarray) -> FlatPanels:
     return replace(flat, coordinates=coordinates, stretches=stretches)
 
 
-def write_pattern_files(folder: Path, flat: FlatPanels, allowance: float, up: np.ndarray | None) -> dict:
-    """pattern.json, .svg, .dxf and .png; their figures. Raises InputError for a panel that overlaps itself."""
+def draw(flat: FlatPanels, allowance: float, up: np.ndarray | None) -> Pattern:
+    """The pattern of flat panels, its grain along `up` in space. Raises InputError for one that overlaps itself."""
+    return make_pattern(flat, allowance, None if up is None else up.tolist())
+
+
+def write_pattern_files(folder: Path, pattern: Pattern) -> dict:
+    """pattern.json, .svg, .dxf and .png; the pattern's figures."""
     from voile.post.pattern_dxf import write_dxf
     from voile.post.pattern_picture import draw_pattern
     from voile.post.pattern_svg import write_svg
     from voile.results import write_pattern
 
-    pattern = make_pattern(flat, allowance, None if up is None else up.tolist())
     write_pattern(folder, pattern)
     write_svg(folder / "pattern.svg", pattern)
     write_dxf(folder / "pattern.dxf", pattern)
@@ -82,17 +95,12 @@ def write_pattern_files(folder: Path, flat: FlatPanels, allowance: float, up: np
     return pattern_summary(pattern)
 
 
-def write_sewn_rest(folder: Path, flat: FlatPanels, points: np.ndarray, allowance: float, name: str) -> None:
-    """rest.obj of panels: apart, at `points` (n, 3) m of the surface, with their pattern and stitches."""
-    pattern = make_pattern(flat, allowance)
-    write_rest_obj(folder / "rest.obj", flat.panels, pattern, points, name)
-
-
 def pattern_of_surface(
     folder: Path, model, shell: Shell, rest: np.ndarray, allowance: float, up: np.ndarray | None
 ) -> dict:
     """The pattern of a rest surface (n, 3) m laid flat with the least distortion; says why where there is none."""
     try:
-        return write_pattern_files(folder, lay_flat(model, shell, rest), allowance, up)
+        flat = lay_flat(model, shell, rest, apart=False)
+        return write_pattern_files(folder, draw(flat, allowance, up))
     except (InputError, NotConverged) as reason:
         return {"none": str(reason)}
