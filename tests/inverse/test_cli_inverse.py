@@ -177,5 +177,6 @@ def test_a_developable_rest_shape_flattens_exactly(tmp_path):
     assert code == 0, said
     found = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
     assert found["largest_defect"] < 1e-8 and found["sag"] < 1e-3
+    assert "developable rest shape with a stable equilibrium" in said
     assert found["pattern"]["distortion"] < 1e-6
     assert [step["share"] for step in found["developability"]] == [0.0, 0.5, 0.8, 0.9, 0.95, 1.0]

@@ -76,6 +76,10 @@ class InverseResult:
     def reason(self) -> str:
         if not self.simulation.path.converged:
             return self.simulation.path.reason
+        if self.panels or self.trade:
+            what = "flat panels" if self.panels else "developable rest shape"
+            kind = "a stable" if self.stable else "an unstable"
+            return f"{what} with {kind} equilibrium near the target"
         if self.direct.converged:
             return (
                 "target in stable equilibrium"
