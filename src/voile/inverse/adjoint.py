@@ -270,6 +270,8 @@ def minimise(
         tao.solve()
         path.reason = tao.getConvergedReason()
         objective.simulate(z)
+        tao.destroy()
+        objective.forward.snes.destroy()  # both call back to what holds them
     path.state, path.rest = objective.state, z
     if surface:
         path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
