@@ -1,5 +1,8 @@
 """The adjoint method: gradient and Hessian by Taylor tests, and what it finds where the target is not stable."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from inverse_shells import hanging_sheet, strip
@@ -103,3 +106,14 @@ def test_taos_types_can_be_chosen(kind):
     finally:
         PETSc.Options().delValue("inverse_tao_type")
     assert path.steps[-1].objective < 0.1 * path.steps[0].objective
+
+
+@pytest.mark.parametrize("kind", ["average", "tan"])
+def test_ranks_have_the_same_gradient_and_hessian(kind, mpirun):
+    figures = []
+    for ranks in (1, 2):
+        done = mpirun(ranks, [sys.executable, str(Path(__file__).parent / "gradient.py"), kind], 100)
+        assert done.returncode == 0, done.stderr
+        figures.append([float(word) for word in done.stdout.split()])
+    np.testing.assert_allclose(figures[1], figures[0], rtol=1e-7)
+    assert all(figures[0])

@@ -246,37 +246,44 @@ def minimise(
         state = target.rest.state(start) if surface else problem.create_vector()
         objective = Objective(target, design, start, state, regularisation, accuracy)
         z, path = start.copy(), AdjointPath(start, start)
-        tao = PETSc.TAO().create(comm=problem.comm)
-        tao.setOptionsPrefix("inverse_")
-        tao.setType(PETSc.TAO.Type.NTR)
-        tao.setObjectiveGradient(lambda _tao, z, g: objective.evaluate(z, g), z.duplicate())
-        sizes = (z.getSizes(), z.getSizes())
-        hessian = PETSc.Mat().createPython(sizes, objective, comm=problem.comm)
-        hessian.setUp()
-
-        def accepted(_tao, z, _hessian, _preconditioner) -> None:
-            objective.simulate(z)
-            objective.accept()
-
-        tao.setHessian(accepted, hessian, hessian)
         radius = FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
-        tao.setInitialTrustRegionRadius(radius)
+        tao = _optimiser(objective, z, radius)
         tao.setMaximumIterations(iterations)
-        tao.setTolerances(gatol=0.0, grtol=0.0, gttol=1e-6)
         tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
         tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
-        _defaults(tao)
-        tao.setSolution(z)
-        tao.solve()
-        path.reason = tao.getConvergedReason()
-        objective.simulate(z)
-        tao.destroy()
-        objective.forward.snes.destroy()  # both call back to what holds them
+        try:
+            tao.solve()
+            path.reason = tao.getConvergedReason()
+            objective.simulate(z)
+        finally:
+            tao.destroy()
+            objective.forward.snes.destroy()  # both call back to what holds them
     path.state, path.rest = objective.state, z
     if surface:
         path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
     path.forward_solves, path.adjoint_solves = objective.forward.solves, objective.adjoint_solves
     return path
+
+
+def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
+    """TAO for the objective, from z on, which it moves; radius: of the first trust region."""
+    tao = PETSc.TAO().create(comm=objective.problem.comm)
+    tao.setOptionsPrefix("inverse_")
+    tao.setType(PETSc.TAO.Type.NTR)
+    tao.setObjectiveGradient(lambda _tao, z, g: objective.evaluate(z, g), z.duplicate())
+    hessian = PETSc.Mat().createPython((z.getSizes(), z.getSizes()), objective, comm=objective.problem.comm)
+    hessian.setUp()
+
+    def accepted(_tao, z, _hessian, _preconditioner) -> None:
+        objective.simulate(z)
+        objective.accept()
+
+    tao.setHessian(accepted, hessian, hessian)
+    tao.setInitialTrustRegionRadius(radius)
+    tao.setTolerances(gatol=0.0, grtol=0.0, gttol=1e-6)
+    _defaults(tao)
+    tao.setSolution(z)
+    return tao
 
 
 def _defaults(tao: PETSc.TAO) -> None:
