@@ -9,6 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
+from voile.errors import NotConverged
 from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
@@ -87,7 +88,7 @@ class InverseResult:
                 else f"the target is unstable: {self._unstable()}"
             )
         if self.adjoint is None:
-            return f"{self.direct.reason}; inverse.method = adjoint looks for the nearest stable answer"
+            return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
         if not self.stable:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
         return f"nearest stable answer found; exactly, {self.direct.reason}"
@@ -120,9 +121,12 @@ def solve_inverse(
     adjoint = None
     if not path.converged and options.method == "adjoint":
         target.load(1.0)
-        adjoint = minimise(
-            target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
-        )
+        try:
+            adjoint = minimise(
+                target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
+            )
+        except NotConverged as reason:  # the last stable rest shape stays
+            path.reason += f"; {reason}"
     z = adjoint.rest if adjoint else path.rest
     trade = None
     if options.developable:
