@@ -22,11 +22,7 @@ from voile.problem.supports import free_motions
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
-HOLDS = (
-    0.1,
-    1.0,
-    0.01,
-)  # stiffness of what holds rest positions at contacts over the shell's own, in the order tried
+HOLDS = 1.0, 0.1, 0.01  # tried in turn: firmness of rest positions at contacts, over the shell's
 CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and bears nothing
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
