@@ -52,7 +52,7 @@ def simulate(
         start = problem.create_vector() if panels else target.rest.state(z)
         if disturbed:
             start.axpy(DISTURBANCE * problem.thickness(), _disturbance(target))
-        options = StaticsOptions(load_steps=1, tolerance=tolerance, stability=True, eigenvalue=eigenvalue)
+        options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
         path = solve_statics(problem, options, start=start)
         problem.unbase(path.state)
     return Simulation(path, sag(target, path.state))

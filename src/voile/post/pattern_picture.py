@@ -20,15 +20,13 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
 
     Raises InputError if the file cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure  # without pyplot, which also looks for windows
 
     everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
     low, size = everything.min(axis=0), np.ptp(everything, axis=0)
     tall = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
-    figure, axes = pyplot.subplots(figsize=(width, tall), layout="constrained")
+    figure = Figure(figsize=(width, tall), layout="constrained")
+    axes = figure.subplots()
     shares = [np.maximum(p.stretches[:, 0] - 1, 1 - p.stretches[:, 1]) for p in pattern.pieces]
     worst = max(float(share.max()) for share in shares)
     # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
@@ -56,8 +54,6 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
         figure.savefig(path, dpi=160)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        pyplot.close(figure)
 
 
 def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float) -> Any:

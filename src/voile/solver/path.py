@@ -14,7 +14,8 @@ from voile.problem.scales import force_floor
 class StaticsOptions:
     """load_steps: first step is 1/load_steps; max_steps: attempts in all; perturbation off unstable branches in
     thicknesses; tolerance: residual over the load's norm; stability: test the end state, eigenvalue: with its
-    smallest eigenvalue."""
+    smallest eigenvalue; fast: full steps before the descent method, which are of no use from a start that strains the
+    shell far beyond its equilibrium."""
 
     load_steps: int = 10
     max_steps: int = 1000
@@ -22,6 +23,7 @@ class StaticsOptions:
     tolerance: float = 1e-8
     stability: bool = True
     eigenvalue: bool = False
+    fast: bool = True
 
 
 @dataclass

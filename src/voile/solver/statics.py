@@ -84,7 +84,7 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
         if path.attempts >= options.max_steps:
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {factor:g}"
             return
-        newton.descend = cuts >= most
+        newton.descend = cuts >= most or not options.fast
         target = 1.0 if factor + step > 1.0 - 1e-9 else factor + step
         path.attempts += 1
         done = _advance(problem, snes, newton, y, target, options, path)
