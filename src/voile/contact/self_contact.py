@@ -71,6 +71,17 @@ class Layers:
         distance = [closest_to_triangle(corner[:split]).distance, edge_distance(corner[split:])]
         return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
 
+    def nearer(self, distance: float) -> np.ndarray:
+        """(b, 2) pairs of vertices across from each other in the pairs of the start nearer than distance (m)."""
+        if distance <= 0.0:
+            return np.zeros((0, 2), dtype=np.int64)
+        found = self.find(self.points, np.zeros(0, dtype=np.int64))
+        near = closest(found, self.points).distance < distance
+        parts = zip((slice(found.faces), slice(found.faces, None)), ACROSS, strict=True)
+        return np.concatenate(
+            [found.vertex[part][near[part]][:, side] for part, sides in parts for side in sides]
+        ).astype(np.int64)
+
     def _named(self, code: np.ndarray, x: np.ndarray) -> Candidates:
         return Candidates(code, self._vertices(code), self._faces(code), x.copy())
 

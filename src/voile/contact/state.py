@@ -20,12 +20,13 @@ import numpy as np
 
 from voile.contact.equations import Equations, Linearised
 from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, outer, within
+from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, barrier, outer, within
 from voile.contact.partners import OnObstacle
 from voile.contact.self_contact import Candidates, OnItself
 
 __all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "State"]
 PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
+BARRIER = 100.0  # its stiffness between layers, over rho
 
 
 @dataclass
@@ -177,6 +178,13 @@ class Contact:
         share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
         return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
 
+    def guard(self, p: Pairs) -> np.ndarray:
+        """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way: none
+        where the laws hold."""
+        if p.index < len(self.obstacles) or self.itself is None:
+            return np.zeros((3, len(p.row)))
+        return BARRIER * self.rho * barrier(p.gap, self.itself.layers.thickness)
+
     def slips(self, p: Pairs) -> np.ndarray:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
         beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
@@ -201,7 +209,8 @@ class Contact:
         for p in self.pairs(x, factor, frozen=True):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             stuck = np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-            total += float((0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck)[self.counted(p)].sum()) / self.rho
+            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / self.rho
+            total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
         return total
 
     def force(self, x: np.ndarray, factor: float, frozen: bool) -> np.ndarray:
@@ -209,18 +218,19 @@ class Contact:
         total = np.zeros_like(x)
         for p in self.pairs(x, factor, frozen=frozen):
             normal, tangential = self.project(p, frozen)
+            if frozen:
+                normal += self.guard(p)[1]
             self.collect(p, partial(p.spread, normal, tangential), total)
         return total
 
     def blocks(self, x: np.ndarray, factor: float, convex: bool):
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
         for p in self.pairs(x, factor, frozen=True):
-            active = p.lam_n > 0.0
-            block = p.over_vertices(
-                self.rho * active[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight
-            )
+            _, push, stiff = self.guard(p)
+            stiff += self.rho * (p.lam_n > 0.0)
+            block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
             if not convex:
-                block -= np.maximum(p.lam_n, 0.0)[:, None, None] * p.curvature
+                block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             slips = size > bound
             share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)

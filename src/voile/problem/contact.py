@@ -1,6 +1,9 @@
 """Obstacles in a distributed problem: how they come in, and what their contact is afterwards."""
 
+from dataclasses import replace
+
 import numpy as np
+import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -8,7 +11,7 @@ from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, seam_gap
 
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
@@ -32,13 +35,30 @@ def attach(
 
 def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     """The layers of a sewn shell whose surfaces touch at `offset` (m) from the mid-surface. Vertices nearer along the
-    cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together."""
-    edges, seam = shell.topology.edges, np.column_stack([shell.slave, shell.first, shell.slave, shell.second])
-    links = np.concatenate([edges, seam.reshape(-1, 2)])
-    length = np.linalg.norm(shell.points[edges[:, 1]] - shell.points[edges[:, 0]], axis=1)
-    length = np.concatenate([length, np.zeros(len(links) - len(edges))])
-    barred = near_along(links, length, len(shell.points), np.pi * offset)
-    return Layers(shell.points, shell.triangles, edges, barred, 2.0 * offset, friction)
+    cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together, nor layers
+    that start nearer than the seams gape: closing those may carry one through the other."""
+    edges, x, n = shell.topology.edges, shell.points, len(shell.points)
+    masters = np.concatenate([shell.first, shell.second])
+    share = np.concatenate([1.0 - shell.weight, shell.weight])  # of the slave's position
+    sewn = np.column_stack([np.tile(shell.slave, 2), masters])[share > 0.0]
+    across = np.linalg.norm(x[shell.second] - x[shell.first], axis=1)
+    apart = (1.0 - share) * np.tile(across, 2)
+    along = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
+    length = np.concatenate([along, apart[share > 0.0]])
+    near = near_along(np.concatenate([edges, sewn]), length, n, np.pi * offset)
+    barred = np.unique(np.concatenate([near, _joined(sewn, n)]), axis=0)
+    layers = Layers(x, shell.triangles, edges, barred, 2.0 * offset, friction)
+    caught = layers.nearer(seam_gap(shell))
+    return replace(layers, barred=np.concatenate([barred, caught])) if len(caught) else layers
+
+
+def _joined(sewn: np.ndarray, n: int) -> np.ndarray:
+    """(b, 2) ascending pairs of n vertices joined by up to three links sewn (k, 2): those that may lie on one edge
+    where up to four panels meet."""
+    ones = np.ones(len(sewn))
+    link = sp.csr_matrix((ones, sewn.T), shape=(n, n))
+    link = link + link.T
+    return np.column_stack(sp.triu(link + link @ link + link @ link @ link, 1).nonzero())
 
 
 def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItself:

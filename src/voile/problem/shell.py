@@ -101,3 +101,12 @@ def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:
         for k in range(3):
             key = (key << np.uint64(1)) | (((x[k] ^ t) >> np.uint64(bit)) & np.uint64(1))
     return np.argsort(key, kind="stable")
+
+
+def seam_gap(shell: Shell) -> float:
+    """Largest distance of the start shape's seams (m)."""
+    if not len(shell.slave):
+        return 0.0
+    x, w = shell.points, shell.weight[:, None]
+    apart = x[shell.slave] - (1.0 - w) * x[shell.first] - w * x[shell.second]
+    return float(np.linalg.norm(apart, axis=1).max())

@@ -26,6 +26,7 @@ CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 LEAP = 5.0  # times the motion to be expected that a step may make
 NOTABLE = 0.01  # sizes of the shell: a smaller motion is none
 SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
+NEUTRAL = 1e-6  # slow rates: an eigenvalue nearer to zero is none
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
 
@@ -188,5 +189,6 @@ def _settle(
         if options.eigenvalue or not stable:
             scale = 0.0 if stable else slow_rate(problem)
             value, _ = smallest_eigenpair(problem, solver.stability_matrix(y), scale)
+            stable = value >= -NEUTRAL * slow_rate(problem)  # a spin about a single contact has none
         path.stable, path.smallest_eigenvalue = stable, value
     return done, stable

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, seam_gap
 from voile.solver.newton import Newton
 from voile.solver.statics import create_snes
 
@@ -16,16 +16,6 @@ MODEL = "discrete-shells//"  # finite at any fold and stiffer the sharper it is,
 STIFFENING = 10.0  # of the thickness at equal stretching stiffness: seams close in smooth folds
 LOOK_BACK, SETTLED = 5, 0.02  # done when the energy fell by less than this fraction in so many steps
 MOST_STEPS = 60
-
-
-def gap(shell: Shell) -> float:
-    """Largest distance of the start shape's seams (m)."""
-    if not len(shell.slave):
-        return 0.0
-    x, w = shell.points, shell.weight[:, None]
-    return float(
-        np.linalg.norm(x[shell.slave] - (1 - w) * x[shell.first] - w * x[shell.second], axis=1).max()
-    )
 
 
 def _edge(shell: Shell) -> float:
@@ -41,7 +31,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
     The panels are drawn together smoothly and then relaxed, free of supports and loads, until their elastic energy
     settles; supports later hold their vertices where these have come to be. A start for statics, not an equilibrium.
     """
-    open_seams = comm.bcast(gap(shell) > _edge(shell) if shell else None)
+    open_seams = comm.bcast(seam_gap(shell) > _edge(shell) if shell else None)
     if not open_seams:
         return shell
     loose = None
