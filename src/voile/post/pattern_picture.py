@@ -26,7 +26,7 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     low, size = everything.min(axis=0), np.ptp(everything, axis=0)
     tall = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
     figure = Figure(figsize=(width, tall), layout="constrained")
-    axes = figure.subplots()
+    axes: Any = figure.subplots()
     shares = [np.maximum(p.stretches[:, 0] - 1, 1 - p.stretches[:, 1]) for p in pattern.pieces]
     worst = max(float(share.max()) for share in shares)
     # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
