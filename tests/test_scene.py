@@ -79,6 +79,8 @@ scheme = "bdf2"
 [inverse]
 developable = "panels"
 estimate = ["young"]
+observed = "seen.obj"
+also = ["other.toml"]
 [output]
 every = 3
 """
@@ -109,7 +111,10 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     assert scene.contact.offset is None and scene.contact.self_contact is False
     assert dataclasses.astuple(scene.statics) == (10, 1000, 1.0, 1e-8, True, False)
     assert dataclasses.astuple(scene.dynamics) == ("implicit-euler", 0.01, 1.0)
-    assert dataclasses.astuple(scene.inverse) == (True, "adjoint", 0.001, False, (), 0.0, 1e-3, 20, 1e-8)
+    assert dataclasses.astuple(scene.inverse) == (
+        *(True, "adjoint", 0.001, False, (), None, ()),
+        *(0.0, 1e-3, 20, 1e-8),
+    )
     assert scene.output.every == 1
 
 
@@ -127,6 +132,8 @@ def test_every_table_is_read(tmp_path):
     assert scene.obstacle[0].radius == 0.2 and scene.obstacle[0].move.displacement == (0.0, 0.1, 0.0)
     assert scene.obstacle[1].file == (tmp_path / "body.obj").resolve() and scene.obstacle[1].scale == 2.0
     assert scene.inverse.developable == "panels" and scene.inverse.estimate == ("young",)
+    assert scene.inverse.observed == (tmp_path / "seen.obj").resolve()
+    assert scene.inverse.also == ((tmp_path / "other.toml").resolve(),)
     assert scene.output.every == 3 and scene.text == FULL and scene.path == tmp_path / "scene.toml"
 
 

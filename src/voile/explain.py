@@ -95,9 +95,13 @@ def _solver(scene: Scene, model: Model) -> str:
         )
         further = {"panels": "; then flat panels in TAO", "constraint": "; then developable in TAO"}
         return f"{search}{adjoint}{further.get(str(scene.inverse.developable), '')}; two simulations as proof"
+    search = ""
+    if scene.scene.task == "inverse":
+        search = f"Gauss-Newton in {', '.join(scene.inverse.estimate)}, whose simulations are: "
     if not (model.obstacles or scene.contact.self_contact):
-        return "Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
-    return "semismooth Newton (then augmented Lagrangian, then pseudo-time), MUMPS LDL^T, LU where something slips"
+        return f"{search}Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
+    ways = "semismooth Newton (then augmented Lagrangian, then pseudo-time)"
+    return f"{search}{ways}, MUMPS LDL^T, LU where something slips"
 
 
 def _contact(model: Model) -> str:

@@ -20,7 +20,16 @@ def grid(nx: int, ny: int, width: float, height: float):
 
 
 def shell(
-    points, triangles, fixed, *, bending="average", young=1e6, thickness=1e-3, density=300.0, **more
+    points,
+    triangles,
+    fixed,
+    *,
+    bending="average",
+    young=1e6,
+    thickness=1e-3,
+    poisson=0.3,
+    density=300.0,
+    **more,
 ) -> Shell:
     """A shell of one fabric under gravity along -z whose rest shape is its start shape."""
     each = np.ones(len(triangles))
@@ -33,7 +42,7 @@ def shell(
         model=model_name("koiter", bending, "stvk"),
         thickness=thickness * each,
         young=young * each,
-        poisson=0.3 * each,
+        poisson=poisson * each,
         density=density * each,
         fixed=fixed,
         motion=np.zeros_like(points),

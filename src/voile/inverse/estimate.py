@@ -1,10 +1,14 @@
-"""Material parameters from an observed equilibrium of a known rest shape, with how well each is determined.
+"""Parameters of fabric and friction from observed equilibria, with how well each is determined.
 
-    min_p  1/2 sum over unknowns of |x(p) - x_o|^2,   p the logarithms of the parameters,
+    min_p  1/2 sum over unknowns of all observations of |x(p) - x_o|^2,   p the logarithms of the parameters,
 
-by Gauss and Newton's method with the sensitivities dx/dp = -K^-1 dR/dp. With independent noise of variance
-s^2 = 2 J / (N - k) in the N observed coordinates the estimate has the covariance s^2 (S^T S)^-1 (Nocedal & Wright,
-section 10.1). Parameters that no observation tells apart, as E and rho, which only enter by their ratio, are refused.
+by Gauss and Newton's method. Sensitivities dx/dp are -K^-1 dR/dp; where contact, with its kinks and its way, or an
+unknown rest shape enters, central differences of simulations. With independent noise of variance s^2 = 2 J / (N - k) in
+the N observed coordinates the estimate has the covariance s^2 (S^T S)^-1 (Nocedal & Wright, section 10.1). Parameters
+that no observation tells apart, as E and rho, which only enter by their ratio, are refused.
+
+Where the rest shape is unknown, too, the first observation, taken as exact, gives it for any parameters (the direct
+method), and the others give the parameters: a variable projection (Golub & Pereyra 1973).
 """
 
 from collections.abc import Callable
@@ -14,31 +18,30 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.errors import InputError, NotConverged
-from voile.problem.discrete import Problem
-from voile.problem.rest import RestShape
-from voile.solver.newton import use_cholesky
-from voile.solver.path import StaticsOptions
-from voile.solver.statics import solve_statics
+from voile.inverse.observation import Observation, UnknownRest
 
-NAMES = ("thickness", "young", "poisson", "density")  # as in Part.fabric
 MOST, SETTLED = 40, 1e-9  # iterations; change of the logarithms of the parameters that ends them
+STUCK = 1e-4  # the same of a step that should decrease the misfit and does not
 FARTHEST = np.log(4.0)  # change of a parameter in one iteration
 HALVINGS = 8
-SAME = (
-    1e-6  # least over largest singular value of the sensitivities under which parameters cannot be told apart
-)
+DIFFERENCE = 1e-3  # of the logarithms in central differences
+# Least over largest singular value of sensitivities, from tangents and from differences, under which parameters cannot
+# be told apart.
+SAME = {True: 1e-6, False: 1e-4}
 BLIND = 1e-9  # displacement over the size that a parameter's doubling makes, under which nothing tells it
 
 
 @dataclass
 class Estimate:
     """values and deviations (standard, absolute) by name in SI units; misfit: root mean square distance of an observed
-    coordinate (m); iterations: (misfit, values) of each."""
+    coordinate (m); states: the simulation of each observation; rest (n, 3) m: the rest shape where it was unknown;
+    iterations: (misfit, values) of each."""
 
     values: dict[str, float]
     deviations: dict[str, float]
     misfit: float
-    state: PETSc.Vec
+    states: list[PETSc.Vec]
+    rest: np.ndarray | None
     iterations: list[tuple[float, dict[str, float]]] = field(default_factory=list)
     forward_solves: int = 0
 
@@ -47,135 +50,147 @@ Progress = Callable[[int, float, dict[str, float]], None]
 
 
 class Estimation:
-    """Estimates parameters that are the same all over the shell, from those the problem has."""
+    """Estimates parameters that are the same all over the shell in all observations, from those of the first one."""
 
-    def __init__(self, problem: Problem, names: tuple[str, ...], accuracy: float = 1e-10):
-        """The problem's start shape is the observed one, its rest shape the known one. accuracy of statics: residual
-        over the loads' norm. Raises InputError for a parameter that differs from triangle to triangle."""
-        self.problem, self.names, self.accuracy = problem, names, accuracy
-        self.rest = RestShape(problem, target=False)
-        self.factor = PETSc.PC().create(comm=problem.comm)
-        use_cholesky(self.factor)
-        self.factor.setFromOptions()
-        self.tangent = problem.create_matrix()
-        self.forward_solves = 0
-        self.seen = self.rest.is_vertex
-        self.count = problem.comm.allreduce(int(self.seen.sum()))
-        start = [self._uniform(name) for name in names]
-        self.start = np.log(np.array(start))
-
-    def _uniform(self, name: str) -> float:
-        values = self.problem.part.fabric[NAMES.index(name)]
-        ends = self.problem.comm.allreduce(
-            [(float(values.min(initial=np.inf)), float(values.max(initial=-np.inf)))]
-        )
-        low, high = min(end[0] for end in ends), max(end[1] for end in ends)
-        if low != high:
-            raise InputError(
-                f"inverse.estimate: {name} differs from part to part ({low:g} to {high:g}); allowed: one value"
-            )
-        return low
+    def __init__(
+        self,
+        observations: list[Observation],
+        names: tuple[str, ...],
+        accuracy: float = 1e-10,
+        unknown: UnknownRest | None = None,
+    ):
+        """accuracy of statics: residual over the loads' norm; unknown: one more observation of the same mesh, which
+        gives the rest shape of all others. Raises InputError for parameters that differ from part to part."""
+        self.observations, self.names, self.accuracy = observations, names, accuracy
+        self.unknown = unknown
+        self.rest: np.ndarray | None = None
+        starts = [[o.value(name) for name in names] for o in observations]
+        self.start = np.log(np.array(starts[0]))
+        self.count = sum(o.count for o in observations)
+        self.smooth = unknown is None and not any(o.obstacles for o in observations)
 
     def solve(self, on_step: Progress | None = None) -> Estimate:
         """The estimate. Raises NotConverged where it does not settle, InputError where the data cannot determine it."""
-        p, y = self.start.copy(), self.problem.create_vector()
-        found = self._simulate(p, y)
-        if found is None:
-            raise NotConverged("estimation: no equilibrium with the first guess of the parameters")
-        y, history = found, []
+        p, history = self.start.copy(), []
+        states = self._simulate(p)
+        if states is None:
+            raise NotConverged(f"estimation: with the first guess of the parameters: {self._reason()}")
         for iteration in range(MOST):
-            misfit, sensitivity = self._misfit(y), self._sensitivities(y)
-            values = dict(zip(self.names, np.exp(p).tolist(), strict=True))
-            history.append((float(np.sqrt(misfit / self.count)), values))
+            misfit = self._misfit(states)
+            history.append((float(np.sqrt(misfit / self.count)), self._values(p)))
             if on_step:
                 on_step(iteration, *history[-1])
-            gram, slope = self._normal_equations(sensitivity, y)
-            self._check(gram)
+            gram, slope = self._normal_equations(p, states)
             step = -np.linalg.solve(gram, slope)
             step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
-            moved = self._advance(p, step, y, misfit)
-            if moved is None or np.abs(moved[0] - p).max() < SETTLED:
-                if moved is not None:
-                    p, y = moved
-                if moved is None and np.abs(step).max() > 1e-4:
-                    raise NotConverged(
-                        f"estimation: no step along the descent direction decreases the misfit {history[-1][0]:.3e} m"
-                    )
-                return self._estimate(p, y, history)
-            p, y = moved
+            moved = self._advance(p, step, states, misfit)
+            if moved is None and np.abs(step).max() > STUCK:
+                raise NotConverged(
+                    f"estimation: no step along the descent direction decreases the misfit {history[-1][0]:.3e} m"
+                )
+            settled = moved is None or np.abs(moved[0] - p).max() < SETTLED
+            p, states = moved or (p, states)
+            if settled:
+                return self._estimate(p, states, history)
         raise NotConverged(f"estimation: {MOST} iterations did not settle")
 
-    def _simulate(self, p: np.ndarray, start: PETSc.Vec) -> PETSc.Vec | None:
-        """The equilibrium with parameters exp(p) from a start, None where there is none."""
-        problem, fabric = self.problem, self.problem.part.fabric
-        for name, value in zip(self.names, np.exp(p), strict=True):
-            fabric[NAMES.index(name)] = value
-        problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
-        problem.set_rest(problem.part.rest_points)  # the masses
-        self.forward_solves += 1
-        path = solve_statics(problem, StaticsOptions(load_steps=1, tolerance=self.accuracy), start=start)
-        problem.unbase(path.state)
-        return path.state.copy() if path.converged else None
+    def _values(self, p: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.names, np.exp(p).tolist(), strict=True))
 
-    def _advance(self, p, step, y, misfit) -> tuple[np.ndarray, PETSc.Vec] | None:
+    def _simulate(self, p: np.ndarray) -> list[PETSc.Vec] | None:
+        """The equilibria with parameters exp(p); None where there is none, or no rest shape."""
+        values, states = self._values(p), []
+        if self.unknown:
+            self.rest = self.unknown.find(values)
+            if self.rest is None:
+                return None
+        for observation in self.observations:
+            if self.rest is not None:
+                observation.set_rest(self.rest)
+            state = observation.simulate(self.accuracy) if observation.set(values) else None
+            if state is None:
+                return None
+            states.append(state)
+        return states
+
+    def _reason(self) -> str:
+        """Why there are no equilibria with the last parameters."""
+        reasons = [o.reason for o in self.observations if o.reason]
+        return (
+            f"no equilibrium: {reasons[0]}" if reasons else "no stable rest shape for the first observation"
+        )
+
+    def _advance(self, p, step, states, misfit) -> tuple[np.ndarray, list[PETSc.Vec]] | None:
         """The longest of the halved steps that decreases the misfit."""
         for halving in range(HALVINGS):
             trial = p + 0.5**halving * step
-            there = self._simulate(trial, y)
+            there = self._simulate(trial)
             if there is not None and self._misfit(there) < misfit:
                 return trial, there
-        self._simulate(p, y)
+        self._simulate(p)
         return None
 
-    def _misfit(self, y: PETSc.Vec) -> float:
-        """Sum of squared displacements from the observed shape (m^2)."""
-        own = y.array_r[self.seen]
-        return self.problem.comm.allreduce(float(own @ own))
+    def _misfit(self, states: list[PETSc.Vec]) -> float:
+        """Sum of squared distances from the observed shapes (m^2)."""
+        own = sum(float(e @ e) for e in self._missed(states))
+        return self.observations[0].problem.comm.allreduce(own)
 
-    def _sensitivities(self, y: PETSc.Vec) -> np.ndarray:
-        """(own unknowns, k) dx/dp of displacements; zero for director angles."""
-        self.problem.tangent(y, self.tangent)
-        self.factor.setOperators(self.tangent)
-        self.factor.setUp()
+    def _missed(self, states: list[PETSc.Vec]) -> list[np.ndarray]:
+        return [o.missed(y) for o, y in zip(self.observations, states, strict=True)]
+
+    def _normal_equations(self, p: np.ndarray, states: list[PETSc.Vec]) -> tuple[np.ndarray, np.ndarray]:
+        """S^T S and S^T (x - x_o). Raises InputError where the data cannot determine the parameters."""
+        s = self._by_tangents(p, states) if self.smooth else self._by_differences(p, states)
+        add = self.observations[0].problem.comm.allreduce
+        gram = add(sum(part.T @ part for part in s))
+        self._check(gram, p)
+        return gram, add(sum(part.T @ e for part, e in zip(s, self._missed(states), strict=True)))
+
+    def _by_tangents(self, p: np.ndarray, states: list[PETSc.Vec]) -> list[np.ndarray]:
+        return [o.slopes(y, self._values(p)) for o, y in zip(self.observations, states, strict=True)]
+
+    def _by_differences(self, p: np.ndarray, states: list[PETSc.Vec]) -> list[np.ndarray]:
+        """Of each observation (own unknowns, k). Raises NotConverged where a simulation beside p has no end."""
         columns = []
-        for name in self.names:
-            slope = self.rest.fabric_derivative(y, name)
-            moved = slope.duplicate()
-            self.factor.apply(slope, moved)
-            value = self._uniform(name)
-            columns.append(np.where(self.seen, -value * moved.array_r, 0.0))
-        return np.stack(columns, axis=1)
+        for step in DIFFERENCE * np.eye(len(p)):
+            beyond, before = self._simulate(p + step), self._simulate(p - step)
+            if beyond is None or before is None:
+                raise NotConverged(f"estimation: just beside {self._values(p)}: {self._reason()}")
+            ends = zip(self._missed(beyond), self._missed(before), strict=True)
+            columns.append([(b - a) / (2.0 * DIFFERENCE) for b, a in ends])
+        return [np.stack(own, axis=1) for own in zip(*columns, strict=True)]
 
-    def _normal_equations(self, s: np.ndarray, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
-        add = self.problem.comm.allreduce
-        return add(s.T @ s), add(s.T @ np.where(self.seen, y.array_r, 0.0))
-
-    def _check(self, gram: np.ndarray) -> None:
+    def _check(self, gram: np.ndarray, p: np.ndarray) -> None:
         """Raises InputError, naming them, where parameters leave no or the same trace."""
+        extent = max(o.problem.size() for o in self.observations)
         size = np.sqrt(np.diag(gram))
-        blind = size <= BLIND * self.problem.size() * np.sqrt(self.count)
+        blind = size <= BLIND * extent * np.sqrt(self.count)
         if blind.any():
             name = self.names[int(np.argmax(blind))]
             raise InputError(
-                f"inverse.estimate: the observed shape does not depend on {name}: it cannot be determined"
+                f"inverse.estimate: what was observed does not depend on {name} near {self._values(p)[name]:g}: it "
+                "cannot be determined"
             )
         values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-        if values[0] <= SAME**2 * values[-1]:
+        if values[0] <= SAME[self.smooth] ** 2 * values[-1]:
             mixed = [n for n, v in zip(self.names, vectors[:, 0], strict=True) if abs(v) > 0.1]
             raise InputError(
-                f"inverse.estimate: the observed shape cannot tell {' and '.join(mixed)} apart: only a combination of "
-                "them enters; estimate one and give the others"
+                f"inverse.estimate: what was observed cannot tell {' and '.join(mixed)} apart: only a combination of "
+                "them enters; estimate one and give the others, or observe under other loads (inverse.also)"
             )
 
-    def _estimate(self, p: np.ndarray, y: PETSc.Vec, history) -> Estimate:
-        gram, _ = self._normal_equations(self._sensitivities(y), y)
-        variance = self._misfit(y) / max(self.count - len(p), 1)
+    def _estimate(self, p: np.ndarray, states: list[PETSc.Vec], history) -> Estimate:
+        gram, _ = self._normal_equations(p, states)
+        variance = self._misfit(states) / max(self.count - len(p), 1)
         deviation = np.sqrt(variance * np.diag(np.linalg.inv(gram))) * np.exp(p)
+        again = self._simulate(p)  # contacts and rest shape as they are there
+        assert again is not None
         return Estimate(
-            values=dict(zip(self.names, np.exp(p).tolist(), strict=True)),
+            values=self._values(p),
             deviations=dict(zip(self.names, deviation.tolist(), strict=True)),
-            misfit=float(np.sqrt(self._misfit(y) / self.count)),
-            state=y,
+            misfit=float(np.sqrt(self._misfit(states) / self.count)),
+            states=again,
+            rest=self.rest,
             iterations=history,
-            forward_solves=self.forward_solves,
+            forward_solves=sum(o.simulations for o in self.observations),
         )

@@ -15,7 +15,7 @@ from voile.errors import NotConverged
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
-from voile.problem.rest import RestShape
+from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell
 from voile.problem.supports import free_motions
@@ -246,13 +246,7 @@ class Target:
 
     def field_vector(self, field: np.ndarray) -> PETSc.Vec:
         """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
-        part, vector = self.problem.part, self.problem.create_vector()
-        rows = part.matrix[: 3 * len(part.vertex)]
-        single = np.flatnonzero(np.diff(rows.indptr) == 1)
-        columns = rows.indices[rows.indptr[single]]
-        mine = columns < part.owned
-        vector.array[columns[mine]] = field.ravel()[single[mine]]
-        return vector
+        return field_vector(self.problem, field)
 
     def _mine(self) -> np.ndarray:
         first = self.problem.part.first_global

@@ -52,7 +52,7 @@ class Problem:
         self.anchor: Anchor | None = None
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
-        self._flat = flat
+        self.flat = flat
         self.kernel = self._make_kernel(part.points)
         self._base = np.zeros(self._size[0])  # displacements at the last `rebase`
         self._gap, self._base_factor, self._rebased = part.gap.copy(), 0.0, False
@@ -78,7 +78,7 @@ class Problem:
             len(part.edge),
             np.ascontiguousarray(start),
         )
-        kernel.set_rest(part.rest_points, part.rest_corners, self._flat)
+        kernel.set_rest(part.rest_points, part.rest_corners, self.flat)
         kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
         kernel.set_weights(part.weight)
         clamp = part.half_edge_clamp
@@ -91,7 +91,7 @@ class Problem:
     def set_rest(self, points: np.ndarray, flat: bool = False) -> None:
         """Another rest shape (local rest vertices, 3) m, flat without folds, and the masses that it has."""
         self.part.set_rest(points)
-        self._flat = flat
+        self.flat = flat
         self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
         self._vertex_force = self._weights()
 

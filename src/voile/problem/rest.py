@@ -10,6 +10,17 @@ from voile.problem.partition import Part
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
 
+def field_vector(problem: Problem, field: np.ndarray) -> PETSc.Vec:
+    """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
+    part, vector = problem.part, problem.create_vector()
+    rows = part.matrix[: 3 * len(part.vertex)]
+    single = np.flatnonzero(np.diff(rows.indptr) == 1)
+    columns = rows.indices[rows.indptr[single]]
+    mine = columns < part.owned
+    vector.array[columns[mine]] = field.ravel()[single[mine]]
+    return vector
+
+
 def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
     """(m,) areas of the rest triangles and (m, 3, 3) their gradients by the corners."""
     x = part.rest_points[part.rest_corners]

@@ -78,7 +78,9 @@ def _absolute(scene: Scene, folder: Path) -> Scene:
         body if body.file is None else dataclasses.replace(body, file=folder / body.file)
         for body in scene.obstacle
     )
-    return dataclasses.replace(scene, shell=shell, obstacle=obstacle)
+    seen, also = scene.inverse.observed, tuple(folder / path for path in scene.inverse.also)
+    inverse = dataclasses.replace(scene.inverse, observed=folder / seen if seen else None, also=also)
+    return dataclasses.replace(scene, shell=shell, obstacle=obstacle, inverse=inverse)
 
 
 # ---- lines of keys, which tomllib does not tell ----

@@ -266,8 +266,20 @@ class Inverse:
         Choice(False, "constraint", "panels"), "whether and how the rest shape is developable", default=False
     )
     estimate: tuple[str, ...] = key(
-        Array(Choice("thickness", "young", "poisson", "density")),
+        Array(Choice("thickness", "young", "poisson", "density", "friction")),
         "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
+        default=(),
+    )
+    observed: Path | None = key(
+        File(),
+        "estimate: the observed equilibrium, where the mesh is the shape from which the shell got there, over "
+        "statics.load_steps; default: the mesh",
+        default=None,
+    )
+    also: tuple[Path, ...] = key(
+        Array(File()),
+        "estimate: scenes with further observations of the same fabric; without shell.rest they, of the same "
+        "triangles, give the parameters, and this one, without contact, the rest shape",
         default=(),
     )
     seam_allowance: float = key(
@@ -316,20 +328,28 @@ class Scene:
                 "without shell.rest",
                 ("shell", "rest"),
             )
-        if self.scene.task == "inverse" and self.inverse.estimate:
-            if self.shell.rest is None:
-                raise Rejected(
-                    "needs shell.rest: with the rest shape unknown too, every value fits the observed shape",
-                    ("inverse", "estimate"),
-                )
-            if self.obstacle:
-                raise Rejected("allowed: without [[obstacle]]", ("inverse", "estimate"))
+        if self.scene.task == "inverse" and self.inverse.estimate and self.shell.rest is None:
+            self._check_estimate()
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
                 raise Rejected(
                     f'"{group}" has a [[fabric]] already; allowed: one per group', ("fabric", index, "group")
                 )
+
+    def _check_estimate(self) -> None:
+        if not self.inverse.also:
+            raise Rejected(
+                "needs shell.rest: with the rest shape unknown too, every value fits one observed shape; or further "
+                "observations, inverse.also",
+                ("inverse", "estimate"),
+            )
+        if "friction" in self.inverse.estimate or self.obstacle or self.inverse.observed:
+            raise Rejected(
+                "needs shell.rest; allowed without: parameters of the fabric, a mesh that is the observed shape, "
+                "no [[obstacle]]",
+                ("inverse", "estimate"),
+            )
 
 
 def homes(name: str) -> list[str]:

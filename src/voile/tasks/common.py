@@ -40,6 +40,20 @@ def gathered(problem, local):
     return total
 
 
+def on_root(comm, action):
+    """What an action gives on rank 0, None elsewhere; its error on all ranks."""
+    outcome = failure = None
+    if comm.rank == 0:
+        try:
+            outcome = action()
+        except Exception as caught:
+            failure = caught
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+    return outcome
+
+
 def summarise(
     scene,
     model,

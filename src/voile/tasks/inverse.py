@@ -1,4 +1,4 @@
-"""task = inverse: rest shapes, flat panels, parameters."""
+"""task = inverse: rest shapes, flat panels."""
 
 import time
 from dataclasses import replace
@@ -9,7 +9,8 @@ import numpy as np
 from voile.inverse.pattern import write_rest_obj
 from voile.mesh import METRES, write_obj
 from voile.results import ResultWriter, StaticMesh
-from voile.tasks.common import gathered, rows, summarise, versions
+from voile.tasks.common import gathered, on_root, rows, summarise, versions
+from voile.tasks.estimate import run_estimation
 from voile.tasks.patterns import (
     cut_apart,
     draw,
@@ -26,7 +27,7 @@ from voile.wiring import static_mesh
 def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
     if scene.inverse.estimate:
-        return _run_estimation(scene, model, folder, comm, progress, began)
+        return run_estimation(scene, model, folder, comm, progress, began)
     from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse, solve_panels
     from voile.problem.discrete import Problem
     from voile.solver.sewing import sew
@@ -46,7 +47,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     says = progress.fraction, progress.optimisation
     flat = None
     if spec.developable == "panels":
-        flat = _on_root(
+        flat = on_root(
             comm, lambda: lay_flat(model, shell, _sewn(shell), apart=True) if shell is not None else None
         )
         cut = cut_apart(shell, flat) if shell is not None and flat else None
@@ -73,37 +74,6 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     return "" if result.converged else result.reason
 
 
-def _run_estimation(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
-    """Parameters of the shell from its observed shape, the scene's mesh, and its known rest shape."""
-    from voile.inverse.estimate import Estimation
-    from voile.problem.discrete import Problem
-    from voile.solver.path import Path as LoadPath
-    from voile.solver.sewing import sew
-
-    shell = sew(model.shell if model else None, comm)
-    problem = Problem(shell, comm)
-    estimation = Estimation(problem, scene.inverse.estimate, scene.inverse.tolerance)
-    found = estimation.solve(progress.estimate)
-    mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
-    with ResultWriter(
-        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
-    ) as writer:
-        writer.write_step(1.0, scalars={"misfit": found.misfit}, **rows(problem, found.state))
-    report = {
-        "estimate": {
-            name: {"value": value, "deviation": found.deviations[name]}
-            for name, value in found.values.items()
-        },
-        "misfit": found.misfit,
-        "forward_solves": found.forward_solves,
-    }
-    for name, value in found.values.items():
-        progress.line(f"{name} = {value:.6g}, standard deviation {found.deviations[name]:.2g}")
-    path = LoadPath(found.state, converged=True, reason="estimate settled", stable=True)
-    summarise(scene, model, problem, path, folder, dict(problem.seconds), began, inverse=report)
-    return ""
-
-
 def _target_shell(model):
     """The model's shell with the target as rest shape: where the search starts."""
     s = model.shell
@@ -115,20 +85,6 @@ def _sewn(shell) -> np.ndarray:
     from voile.problem.constraints import build_constraints
 
     return shell.points + build_constraints(shell, False).gap[: shell.points.size].reshape(-1, 3)
-
-
-def _on_root(comm, action):
-    """What an action gives on rank 0, None elsewhere; its error on all ranks."""
-    outcome = failure = None
-    if comm.rank == 0:
-        try:
-            outcome = action()
-        except Exception as caught:
-            failure = caught
-    failure = comm.bcast(failure)
-    if failure is not None:
-        raise failure
-    return outcome
 
 
 def _guess(scene, model) -> np.ndarray | None:

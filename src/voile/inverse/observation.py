@@ -1,0 +1,159 @@
+"""An experiment that ended in an observed equilibrium, and its simulation with other parameters."""
+
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.contact.obstacles import Obstacle
+from voile.errors import InputError
+from voile.inverse.direct import Direct
+from voile.inverse.target import Target
+from voile.problem.contact import attach
+from voile.problem.discrete import Problem
+from voile.problem.rest import RestShape, field_vector
+from voile.problem.shell import Shell
+from voile.solver.newton import use_cholesky
+from voile.solver.path import StaticsOptions
+from voile.solver.statics import solve_statics
+
+FABRIC = ("thickness", "young", "poisson", "density")  # as in Part.fabric
+FRICTION = "friction"
+TOP = {"poisson": 0.5}  # what a parameter must stay below
+
+
+class Observation:
+    """A shell let go at the problem's start shape, which comes to rest in the observed one.
+
+    Without obstacles its end does not depend on the way, and simulations start from the last end. With obstacles it
+    does: each follows the `steps` load steps from the start shape, where slip is measured from. A shell observed at
+    rest, of which no earlier shape is known, starts there: it stays if friction can hold it.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        observed: np.ndarray | None = None,
+        obstacles: tuple[Obstacle, ...] = (),
+        offset: float = 0.0,
+        steps: int = 1,
+    ):
+        """observed (local vertices, 3) m: the start shape where None; offset (m) from the mid-surface to the surface
+        that touches."""
+        self.problem, self.obstacles, self.offset = problem, obstacles, offset
+        self.flat = problem.flat
+        self.rest = RestShape(problem, target=False)
+        self.seen = self.rest.is_vertex
+        self.count: int = problem.comm.allreduce(int(self.seen.sum()))
+        self.first, self.later = steps, steps if obstacles else 1
+        problem.load_factor = 1.0
+        away = 0.0 if observed is None else observed - problem.positions(problem.create_vector())
+        self.target = field_vector(problem, away + np.zeros((len(problem.own), 3)))
+        self.state: PETSc.Vec | None = None
+        self.simulations, self.reason = 0, ""  # why the last one has no end
+        self._factor = PETSc.PC().create(comm=problem.comm)
+        use_cholesky(self._factor)
+        self._factor.setFromOptions()
+        self._tangent = problem.create_matrix()
+
+    # ---- parameters ----
+
+    def value(self, name: str) -> float:
+        """A parameter of all of the shell, or of all obstacles. Raises InputError where it has several values or none
+        that a search can start from."""
+        if name == FRICTION:
+            own = np.array([o.friction for o in self.obstacles])
+            if not len(own):
+                raise InputError("inverse.estimate: friction: the shell touches nothing without [[obstacle]]")
+        else:
+            own = self.problem.part.fabric[FABRIC.index(name)]
+        comm = self.problem.comm
+        low = comm.allreduce(float(own.min(initial=np.inf)), op=MPI.MIN)
+        high = comm.allreduce(float(own.max(initial=-np.inf)), op=MPI.MAX)
+        if low != high:
+            raise InputError(
+                f"inverse.estimate: {name} differs from part to part ({low:g} to {high:g}); allowed: one value"
+            )
+        if low <= 0.0:
+            raise InputError(f"inverse.estimate: the first guess of {name} is {low:g}; allowed: above 0")
+        return low
+
+    def set(self, values: dict[str, float]) -> bool:
+        """Gives the problem these parameters, with the masses and contacts that they make; False if they are none."""
+        if any(values.get(name, 0.0) >= top for name, top in TOP.items()):
+            return False
+        problem, fabric = self.problem, self.problem.part.fabric
+        for name in values.keys() & set(FABRIC):
+            fabric[FABRIC.index(name)] = values[name]
+        problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
+        problem.set_rest(problem.part.rest_points, self.flat)
+        if FRICTION in values:
+            self.obstacles = tuple(replace(o, friction=values[FRICTION]) for o in self.obstacles)
+        return True
+
+    def set_rest(self, points: np.ndarray) -> None:
+        """Another rest shape: positions (n, 3) m of all vertices of the mesh."""
+        self.problem.set_rest(points[self.problem.part.rest_vertex])
+
+    # ---- what they lead to ----
+
+    def simulate(self, accuracy: float) -> PETSc.Vec | None:
+        """The equilibrium with the present parameters, residual under `accuracy` of the loads; None where there is
+        none."""
+        problem = self.problem
+        start = None if self.obstacles else self.state
+        steps = self.first if start is None else self.later
+        problem.contact = None
+        attach(problem, list(self.obstacles), self.offset)
+        self.simulations += 1
+        path = solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=accuracy), start=start)
+        problem.unbase(path.state)
+        self.reason = "" if path.converged else path.reason
+        if not path.converged:
+            return None
+        self.state = path.state.copy()
+        return self.state
+
+    def missed(self, y: PETSc.Vec) -> np.ndarray:
+        """(own unknowns,) of a state y less the observed displacements (m); zero for director angles."""
+        return np.where(self.seen, y.array_r - self.target.array_r, 0.0)
+
+    def slopes(self, y: PETSc.Vec, values: dict[str, float]) -> np.ndarray:
+        """(own unknowns, k) change of an equilibrium without contact by the logarithms of parameters, -K^-1 dR/dp."""
+        self.problem.tangent(y, self._tangent)
+        self._factor.setOperators(self._tangent)
+        self._factor.setUp()
+        columns = []
+        for name, value in values.items():
+            slope = self.rest.fabric_derivative(y, name)
+            moved = slope.duplicate()
+            self._factor.apply(slope, moved)
+            columns.append(np.where(self.seen, -value * moved.array_r, 0.0))
+        return np.stack(columns, axis=1)
+
+
+class UnknownRest:
+    """The rest shape for which an observed equilibrium without contact, taken as exact, stands: a function of the
+    parameters, by the direct method."""
+
+    def __init__(self, problem: Problem, shell: Shell | None):
+        """The problem's start shape (shell: rank 0's) is the observed one. Raises NotConverged where nothing holds
+        it."""
+        self.observation = Observation(problem)
+        self._direct = Direct(Target(problem, shell, [], 0.0, problem.size()))
+        self._last: PETSc.Vec | None = None
+
+    def find(self, values: dict[str, float]) -> np.ndarray | None:
+        """(n, 3) m on every rank, of all vertices of the mesh; None where there is no stable answer."""
+        problem, target = self.observation.problem, self._direct.target
+        if not self.observation.set(values):
+            return None
+        path = self._direct.follow(guess=self._last)
+        if not path.converged:
+            return None
+        self._last = path.rest
+        own, rest = problem.part.owned_vertices, target.x + problem.motion(path.rest)
+        pieces = problem.comm.allgather((problem.part.vertex[own], rest[own]))
+        index, points = (np.concatenate(part) for part in zip(*pieces, strict=True))
+        return points[np.argsort(index)]

@@ -1,0 +1,102 @@
+"""task = inverse with inverse.estimate: parameters from observed equilibria."""
+
+from pathlib import Path
+
+from voile.errors import InputError
+from voile.mesh import METRES, read_rest, write_obj
+from voile.results import ResultWriter
+from voile.scene import read_scene, unsupported
+from voile.tasks.common import on_root, rows, summarise, versions
+from voile.tasks.progress import Progress
+from voile.wiring import build_model, static_mesh
+
+
+def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
+    """As `run_statics` for the parameters of a shell, from the scene's observation and those of inverse.also."""
+    from voile.inverse.estimate import Estimation
+    from voile.inverse.observation import UnknownRest
+    from voile.problem.discrete import Problem
+    from voile.solver.path import Path as LoadPath
+    from voile.solver.sewing import sew
+
+    found = on_root(comm, lambda: _further(scene, model))
+    others = found or [None] * len(scene.inverse.also)
+    shell, unknown, observations = None, None, []
+    if scene.shell.rest is None:
+        shell = sew(model.shell if model else None, comm)
+        unknown = UnknownRest(Problem(shell, comm), shell)
+    else:
+        others = [(scene, model), *others] if model else [None, *others]
+    for other in others:
+        sewn, observation = _observation(other, comm)
+        observations.append(observation)
+        shell = shell or sewn
+    result = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown).solve(
+        progress.estimate
+    )
+    seen = unknown.observation if unknown else observations[0]
+    state = seen.problem.create_vector() if unknown else result.states[0]
+    mesh = static_mesh(model, shell, seen.problem.directors) if shell is not None else None
+    with ResultWriter(
+        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
+    ) as writer:
+        writer.write_step(1.0, scalars={"misfit": result.misfit}, **rows(seen.problem, state))
+    if result.rest is not None and shell is not None:
+        write_obj(folder / "rest.obj", result.rest, shell.triangles, comment=f"{METRES}\nrest shape")
+    report = {
+        "estimate": {
+            name: {"value": value, "deviation": result.deviations[name]}
+            for name, value in result.values.items()
+        },
+        "misfit": result.misfit,
+        "observations": len(scene.inverse.also) + 1,
+        "forward_solves": result.forward_solves,
+    }
+    for name, value in result.values.items():
+        progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
+    path = LoadPath(state, converged=True, reason="estimate settled", stable=True)
+    summarise(scene, model, seen.problem, path, folder, dict(seen.problem.seconds), began, inverse=report)
+    return ""
+
+
+def _further(scene, model) -> list[tuple]:
+    """Scenes and models of inverse.also. Raises InputError for one that cannot tell of the same fabric."""
+    found = []
+    for path in scene.inverse.also:
+        other = read_scene(path)
+        missing = unsupported(other)
+        if missing:
+            raise InputError(f"{path}: this version cannot run {'; '.join(missing)}")
+        if (other.shell.rest is None) != (scene.shell.rest is None):
+            raise InputError(
+                f"{path}: shell.rest: allowed: the known rest shape in all scenes of an estimation, or in none"
+            )
+        found.append((other, build_model(other)))
+        triangles = found[-1][1].shell.triangles
+        if scene.shell.rest is None and not (
+            triangles.shape == model.shell.triangles.shape and (triangles == model.shell.triangles).all()
+        ):
+            raise InputError(f"{path}: shell.mesh: allowed without shell.rest: the triangles of {scene.path}")
+    return found
+
+
+def _observation(other: tuple | None, comm):
+    """A scene's sewn shell (rank 0's) and what was observed of it; other: scene and model, on rank 0."""
+    from voile.inverse.observation import Observation
+    from voile.problem.discrete import Problem
+    from voile.solver.sewing import sew
+
+    observed, steps, obstacles, offset = comm.bcast(on_root(comm, lambda: _seen(*other) if other else None))
+    shell = sew(other[1].shell if other else None, comm)
+    problem = Problem(shell, comm)
+    local = None if observed is None else observed[problem.part.vertex]
+    return shell, Observation(problem, local, obstacles, offset, steps)
+
+
+def _seen(scene, model) -> tuple:
+    """Observed positions (n, 3) m or None for the start shape, load steps from there, obstacles and offset (m)."""
+    file, bodies = scene.inverse.observed, tuple(model.obstacles)
+    if file is None:
+        return None, 1, bodies, model.offset
+    shape = read_rest(str(file), model.surface, file.parent, scene.shell.scale).points
+    return shape, scene.statics.load_steps, bodies, model.offset
