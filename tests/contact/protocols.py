@@ -7,6 +7,8 @@ from pathlib import Path as File
 
 import numpy as np
 from mesh_helpers import generator
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
 
 from voile.contact.obstacles import Box, Cylinder, Motion, Obstacle, Plane, Sphere
 from voile.problem.contact import attach, contact_fields
@@ -68,12 +70,14 @@ def held(points: np.ndarray, *places: tuple[np.ndarray, np.ndarray]) -> dict:
 
 @dataclass
 class Lifted:
-    """length (m) of the free part and lifting force (N/m) with their closed forms; touching (n,) vertices."""
+    """length (m) of the free part, first: that of the vertices which do not touch, and lifting force (N/m) with their
+    closed forms; touching (n,) vertices."""
 
     path: Path
     points: np.ndarray
     touching: np.ndarray
     fields: dict
+    first: float
     length: float
     exact_length: float
     force: float
@@ -82,7 +86,10 @@ class Lifted:
 
 
 def lifted_strip(cells: int) -> Lifted:
-    """Free length l = (24 B delta / (rho g h))^(1/4), lifting force rho g h l / 2 per unit width."""
+    """Free length l = (24 B delta / (rho g h))^(1/4), lifting force rho g h l / 2 per unit width.
+
+    A beam comes to lie down with a force at one point, the edge of contact, which the mesh spreads over some vertices:
+    the edge is the centre of what they carry beyond their own weight."""
     length, width, thickness, young, density, lift = 1.0, 2.0 / cells, 1e-3, 1e9, 1000.0, 2e-3
     stiffness, weight = young * thickness**3 / 12, density * GRAVITY * thickness
     free = (24 * stiffness * lift / weight) ** 0.25
@@ -93,8 +100,11 @@ def lifted_strip(cells: int) -> Lifted:
     fields = contact_fields(problem, path.state)
     touching = fields["contact"] > 0
     force = problem.reactions(path.state)[:, 2].sum() / width
+    own = -problem.weight_force()[: points.size].reshape(-1, 3)[:, 2]
+    beyond = (fields["reaction"][:, 2] - own)[touching]
+    edge = beyond @ points[touching, 0] / beyond.sum()
     first = points[touching, 0].min()
-    return Lifted(path, points, touching, fields, first, free, force, weight * free / 2, length / cells)
+    return Lifted(path, points, touching, fields, first, edge, free, force, weight * free / 2, length / cells)
 
 
 # ---- incline ----
@@ -272,8 +282,31 @@ def lowered_strip(friction: float, low: float, cells: int, steps: int) -> Slip:
     return Slip(path, held_on[-1][0], np.nan if gone is None else seen[gone][0], landed)
 
 
+def elastica_onset(friction: float) -> float:
+    """Lowering over length at which the tip slips, of a weightless inextensible strip.
+
+    The tip carries V and friction V, no moment: B theta'' = V (friction cos theta - sin theta) along the strip of
+    length 1 from the tip, theta from the vertical, theta'(0) = 0; the clamp stands upright above the tip: theta(1) = 0,
+    x(1) = x(0). Followed from the buckled column, tan k = k, where theta = friction (1 - cos(k s) / cos k)."""
+    k = 4.493409457909064
+
+    def end(unknowns, mu):
+        v, tip = unknowns
+
+        def slope(_, y):
+            return [y[1], v * (mu * np.cos(y[0]) - np.sin(y[0])), np.sin(y[0]), np.cos(y[0])]
+
+        return solve_ivp(slope, (0.0, 1.0), [tip, 0.0, 0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-12).y[:, -1]
+
+    found, last = np.array([k * k, 1.0 - 1.0 / np.cos(k)]), 1.0
+    for mu in np.linspace(0.0, friction, int(np.ceil(20.0 * friction)) + 2)[1:]:
+        start = [found[0], found[1] * mu / last]
+        found, last = root(lambda u, mu=mu: end(u, mu)[[0, 2]], start, tol=1e-12).x, mu
+    return float(1.0 - end(found, friction)[3])
+
+
 def slips() -> list[dict]:
-    """The elastica's onsets of slip, where the shared folder is."""
+    """The same onsets, where the shared folder is."""
     return json.loads(CURVES.read_text())["stick_slip"] if CURVES.exists() else []
 
 
