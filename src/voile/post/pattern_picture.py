@@ -25,8 +25,9 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
     low, size = everything.min(axis=0), np.ptp(everything, axis=0)
     tall = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
-    figure = Figure(figsize=(width, tall), layout="constrained")
-    axes: Any = figure.subplots()
+    figure = Figure(figsize=(width, tall))
+    margins = {"left": 0.6 / width, "right": 1 - 0.2 / width, "bottom": 0.6 / tall, "top": 1 - 0.4 / tall}
+    axes: Any = figure.subplots(gridspec_kw=margins)
     shares = [np.maximum(p.stretches[:, 0] - 1, 1 - p.stretches[:, 1]) for p in pattern.pieces]
     worst = max(float(share.max()) for share in shares)
     # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
@@ -49,7 +50,9 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     )
     axes.set_title(f"{count}; largest distortion: {_percent(worst)}", loc="left", fontsize=11, color=INK)
     if worst > EXACT:
-        figure.colorbar(colours, label="distortion [%]", shrink=0.6, pad=0.01, extend="max")
+        figure.colorbar(
+            colours, label="distortion [%]", shrink=0.6, pad=0.01, fraction=0.08, aspect=25, extend="max"
+        )
     try:
         figure.savefig(path, dpi=160)
     except OSError as error:
