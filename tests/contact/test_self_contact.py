@@ -120,7 +120,7 @@ def test_force_and_blocks_derive_from_the_energy(friction):
     rates = taylor_rates(lambda z: -contact.force(z, 1.0, frozen=True), slope, x, direction)
     assert min(rates) > 1.8
     for _, block in contact.blocks(x, 1.0, convex=True):
-        assert np.linalg.eigvalsh(block).min() >= -1e-10 * contact.rho
+        assert np.linalg.eigvalsh(block).min() >= -1e-10 * contact.rho(0)
 
 
 def test_no_layer_passes_through_another():

@@ -19,7 +19,7 @@ class Equations:
 
     def __init__(self, contact: Contact, p: Pairs):
         self.p, self.mu = p, p.friction
-        s, rho = contact.state, contact.rho
+        s, rho = contact.state, contact.rho(p.index)
         self.firm = contact.firm
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0

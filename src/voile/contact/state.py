@@ -26,7 +26,8 @@ from voile.contact.self_contact import Candidates, OnItself
 
 __all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "State"]
 PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
-BARRIER = 100.0  # its stiffness between layers, over rho
+LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
+BARRIER = 3.0  # stiffness of the barrier between layers, over rho
 
 
 @dataclass
@@ -98,10 +99,9 @@ class Contact:
             sizes.append((0, 4))
         self.state = _blank(sizes, np.zeros((n, 3)))
 
-    @property
-    def rho(self) -> float:
-        """N/m, scale of the natural map."""
-        return self.softness * self.stiffness
+    def rho(self, k: int) -> float:
+        """N/m, scale of the natural map with partner k."""
+        return self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else LAYERS)
 
     @property
     def firm(self) -> float:
@@ -150,7 +150,8 @@ class Contact:
             self.state = partner.renewed(wide, self.state, k)
         s = self.state
         gap = partner.gaps(wide, factor, s)
-        near = s.normal[k] - self.rho * gap >= -self.rho * self.touch
+        rho = self.rho(k)
+        near = s.normal[k] - rho * gap >= -rho * self.touch
         if frozen:
             near |= (s.bound[k] > 0.0) & np.isfinite(gap)
         rows = np.flatnonzero(near & partner.movable(s))
@@ -161,8 +162,8 @@ class Contact:
         unit = g.gradient / steepness[:, None]
         plane, grip = (s.plane[k][rows], s.grip[k][rows]) if frozen else (unit, g.weight)
         d = partner.moved(rows, grip, wide, factor, s)
-        trial = within(plane, s.friction[k][rows] - self.rho * d)
-        lam_n = s.normal[k][rows] - self.rho * g.gap
+        trial = within(plane, s.friction[k][rows] - rho * d)
+        lam_n = s.normal[k][rows] - rho * g.gap
         slip = within(plane, d)
         return Pairs(k, partner.friction, rows, g, unit, steepness, lam_n, trial, slip, grip)
 
@@ -183,7 +184,7 @@ class Contact:
         where the laws hold."""
         if p.index < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(p.row)))
-        return BARRIER * self.rho * barrier(p.gap, self.itself.layers.thickness)
+        return BARRIER * self.rho(p.index) * barrier(p.gap, self.itself.layers.thickness)
 
     def slips(self, p: Pairs) -> np.ndarray:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
@@ -209,7 +210,7 @@ class Contact:
         for p in self.pairs(x, factor, frozen=True):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             stuck = np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / self.rho
+            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / self.rho(p.index)
             total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
         return total
 
@@ -227,7 +228,7 @@ class Contact:
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
         for p in self.pairs(x, factor, frozen=True):
             _, push, stiff = self.guard(p)
-            stiff += self.rho * (p.lam_n > 0.0)
+            stiff += self.rho(p.index) * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
             if not convex:
                 block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
@@ -237,15 +238,17 @@ class Contact:
             plane = self.state.plane[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
             tangent = np.eye(3) - outer(plane, plane) - slips[:, None, None] * outer(along, along)
-            tangent *= self.rho * (share * (bound > 0.0))[:, None, None]
+            tangent *= self.rho(p.index) * (share * (bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.grip)
 
     def adopt(self, x: np.ndarray, factor: float) -> None:
-        """The projected trial reactions become the reactions, and with them bounds and planes of the potential."""
+        """The projected trial reactions, with the barrier's push, become the reactions, and with them bounds and planes
+        of the potential."""
         pairs = self.pairs(x, factor)
         fresh = self.state.each(np.zeros_like)
         for p in pairs:
-            fresh.normal[p.index][p.row], fresh.friction[p.index][p.row] = self.project(p)
+            normal, fresh.friction[p.index][p.row] = self.project(p)
+            fresh.normal[p.index][p.row] = normal + self.guard(p)[1]
         self.state = fresh
         self.freeze(x, factor)
 

@@ -30,8 +30,10 @@ SOFTEST, HARDENING = (
     1e-4,
     30.0,
 )  # contact's stiffness in the first descent, over the shell's; factor per update
-DESCENT = 300  # iterations of one
+DESCENT, SHORT = 300, 40  # iterations of one; where reactions lag behind
+FAR = 0.01  # sizes of the shell that a step may move before friction is known
 PSEUDO_STEPS = 300
+DONE, UNFINISHED = 1, 2  # steps of it
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
@@ -65,6 +67,9 @@ class FrictionalSolver:
         self.problem, self.contact, self.snes, self.newton = problem, problem.contact, snes, newton
         self.semismooth = Semismooth(problem, self.contact)
         self.iterations = 0
+        self._wait = self._patience = (
+            0  # steps of pseudo-time without, and between, tries of the semismooth method
+        )
 
     @property
     def seconds(self) -> float:
@@ -174,22 +179,25 @@ class FrictionalSolver:
         problem = self.problem
         mass, slow = problem.mass(), slow_rate(problem)
         loads = max(problem.load_norm(y), wanted / 1e-8)
-        rate, tried, origin = FIRST_RATE * slow, np.inf, y.copy()
+        rate, tried, pull, origin = FIRST_RATE * slow, np.inf, np.inf, y.copy()
         try:
             for _ in range(PSEUDO_STEPS):
                 home, before = y.copy(), self.iterations
                 problem.anchor = Anchor(home, rate, mass)
-                if not self._pseudo_step(y, max(wanted, min(ROUGH * loads, REDUCED * self._norm(y)))):
+                done = self._pseudo_step(y, wanted, ROUGH * loads, 0.5 * pull)
+                if not done:
                     rate *= 4.0
                     if rate > LAST_RATE * slow:
                         return Outcome(
                             False, "pseudo-time", f"no step of pseudo-time converges; {self._missed(y)}"
                         )
                     continue
-                pull, spent = problem.norm(problem.anchor.pull(y)), self.iterations - before
                 if problem.largest_motion(difference(y, origin)) > GONE:
                     return Outcome(False, "pseudo-time", self._slides(difference(y, home)), gone=True)
-                rate *= 0.3 if spent <= 6 else 0.5 if spent <= 12 else 1.0
+                if done == UNFINISHED:
+                    continue
+                pull, spent = problem.norm(problem.anchor.pull(y)), self.iterations - before
+                rate *= 0.3 if spent <= 6 else 0.5 if spent <= 12 else 0.7
                 if pull < min(NEAR * loads, 0.3 * tried):
                     tried, problem.anchor = pull, None
                     self._begin(y)
@@ -199,12 +207,40 @@ class FrictionalSolver:
             problem.anchor = None
         return Outcome(False, "pseudo-time", f"{PSEUDO_STEPS} steps of pseudo-time did not settle")
 
-    def _pseudo_step(self, y: PETSc.Vec, tolerance: float) -> bool:
+    def _pseudo_step(self, y: PETSc.Vec, wanted: float, rough: float, pull: float) -> int:
+        """DONE, UNFINISHED or (0) failed: by the semismooth method, else by descent. Layers in contact share their
+        reactions as they like, which neither settles in every step: there the first waits longer and longer after it
+        has failed, and descent, as rough as the last step's pull (N) allows, leaves a part of the laws' mismatch to
+        the next step."""
         self._begin(y)
-        return (
-            self._attempt(self._directly, y, tolerance).converged
-            or self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0, FEW), y, tolerance).converged
-        )
+        reduced = REDUCED * self._norm(y)
+        tolerance = max(wanted, min(rough, reduced))
+        self._wait -= 1
+        if self._wait < 0:
+            if self._attempt(self._directly, y, tolerance).converged:
+                self._patience = 0
+                return DONE
+            self._wait = self._patience = max(2 * self._patience, 1) if self.contact.itself else 0
+        if self.contact.itself:
+            return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
+        descent = self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0, FEW), y, tolerance)
+        return DONE if descent.converged else 0
+
+    def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
+        """One descent and one update of the reactions. Where there are none yet there is no friction either: such a
+        step must not go far. What snaps takes many iterations: unfinished, it goes on from where it is."""
+        contact, problem, home = self.contact, self.problem, y.copy()
+        fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
+        contact.freeze(problem.positions(y), problem.load_factor)
+        self.newton.descend = True
+        done = self._run(self.newton, y, tolerance, SHORT)
+        far = fresh and problem.largest_motion(difference(y, home)) > FAR
+        if far or not (done or self.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT):
+            home.copy(y)
+            return 0
+        if done:
+            contact.adopt(problem.positions(y), problem.load_factor)
+        return DONE if done else UNFINISHED
 
     # ---- stability ----
 
