@@ -27,6 +27,8 @@ ENERGY_NOISE = 1e-11  # relative size under which differences of the potential a
 IDLE = 3  # steps without halving the residual after which round-off is suspected
 NEAR = 10.0  # times its round-off a residual is not worth more steps
 FAR = 1e3  # times the residual what seems round-off is a singular shape: no area, a hinge at 180 degrees
+_REASON = PETSc.SNES.ConvergedReason  # newer and older petsc4py call it differently
+NOT_FINITE = getattr(_REASON, "DIVERGED_FUNCTION_NANORINF", None) or _REASON.DIVERGED_FNORM_NAN
 WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
 
@@ -256,7 +258,7 @@ class Newton:
 
     def _test(self, snes, it, y, direction, norm):
         if not np.isfinite(norm):
-            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            return NOT_FINITE
         return snes.callConvergenceTest(it, y.norm(), direction.norm() if it else 0.0, norm)
 
     def _energy(self, y: PETSc.Vec) -> float:

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from voile.contact.state import Contact, Linearised
 from voile.problem.discrete import Problem
-from voile.solver.newton import REACH, factorisation_error, negative_pivots, timed
+from voile.solver.newton import NOT_FINITE, REACH, factorisation_error, negative_pivots, timed
 
 CORRECTIONS = 3  # solves with one factorisation that turn firm stiffnesses into constraints
 MOST = 60  # iterations
@@ -61,7 +61,7 @@ class Semismooth:
             snes.monitor(it, norm)
             idle = 0 if norm < 0.5 * best else idle + 1
             best = min(norm, best)
-            reason = PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            reason = NOT_FINITE
             if norm <= 1e8 * first:
                 reason = snes.callConvergenceTest(it, y.norm(), direction.norm() if it else 0.0, norm)
             if reason and (it or reason < 0):

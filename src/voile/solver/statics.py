@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
 from voile.problem.scales import round_off, slow_rate
-from voile.solver.newton import Newton, use_cholesky
+from voile.solver.newton import NOT_FINITE, Newton, use_cholesky
 from voile.solver.path import LoadStep, Monitor, Path, Progress, StaticsOptions, tolerance
 from voile.solver.quasistatic import follow_contact
 from voile.solver.stability import smallest_eigenpair
@@ -123,7 +123,7 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
         wanted = tolerance(problem, y, options)
         if not math.isfinite(wanted):
-            snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
+            snes.setConvergedReason(NOT_FINITE)
             return None
         snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=500)
         snes.setFromOptions()
