@@ -181,9 +181,9 @@ class _Energy:
         modes = np.array(
             [[[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, -root], [root, 0]], [[0, root], [root, 0]]]
         )  # stretch twice, twist, flip
-        turned = np.einsum("tia,kab,tjb->tkij", u, modes, v)
+        turned = np.einsum("tia,kab,tjb->tkij", u, modes, v, optimize=True)
         along = np.einsum("tkij,tcj->tkci", turned, self.gradient).reshape(-1, 4, 6)
-        local = np.einsum("tka,tk,tkb->tab", along, eigenvalues * self.area[:, None], along)
+        local = along.transpose(0, 2, 1) @ ((eigenvalues * self.area[:, None])[:, :, None] * along)
         size = 2 * self.count
         rows, columns = np.repeat(self.unknown, 6, axis=1).ravel(), np.tile(self.unknown, (1, 6)).ravel()
         matrix = sparse.csc_matrix((local.ravel(), (rows, columns)), shape=(size, size))

@@ -26,6 +26,7 @@ class Assembly:
         self.coupled = np.zeros(
             0, dtype=np.int64
         )  # ascending codes of the pairs of vertices that contacts couple
+        self._pattern: tuple[np.ndarray, np.ndarray] | None = None
         self._combination: sp.csr_matrix | None = None
         self._bound = None
 
@@ -41,6 +42,13 @@ class Assembly:
         return matrix
 
     def _allocate(self, matrix: PETSc.Mat, kernel: _kernels.Elastic) -> None:
+        if self._pattern is None:
+            self._pattern = self._find_pattern(kernel)
+        matrix.setPreallocationCSR(self._pattern)
+        self._bind(matrix)
+
+    def _find_pattern(self, kernel: _kernels.Elastic) -> tuple[np.ndarray, np.ndarray]:
+        """Row starts and columns of this rank's entries, and the `scatter` that goes with them."""
         part = self.part
         self.scatter = _kernels.Scatter(
             kernel,
@@ -54,8 +62,7 @@ class Assembly:
         column = self.unknown[column]
         if len(self.coupled):
             start, column = self._widened(start, column)
-        matrix.setPreallocationCSR((start.astype(np.int32), column.astype(np.int32)))
-        self._bind(matrix)
+        return start.astype(np.int32), column.astype(np.int32)
 
     def prepare(
         self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: np.ndarray | None = None
@@ -66,6 +73,7 @@ class Assembly:
         if not np.isin(np.concatenate([*needed, self.coupled[:0]]), self.coupled).all():
             near = [] if likely is None else [self._codes(likely)]
             self.coupled = np.unique(np.concatenate([*needed, *near, self.coupled]))
+            self._pattern = None
             self._allocate(matrix, kernel)
         elif matrix.handle != self._bound:
             self._bind(matrix)
