@@ -55,6 +55,9 @@ def hanging(tmp_path):
     write_obj(tmp_path / "hangs.obj", simulated(of), of.triangles)
     write_obj(tmp_path / "stands.obj", simulated(hanging_sheet(young=YOUNG, **UPWARDS)), of.triangles)
     write(tmp_path, "second.toml", "stands.obj", gravity=9.81)
+    (tmp_path / "statics.toml").write_text(
+        (tmp_path / "second.toml").read_text().replace("inverse", "statics")
+    )
     return tmp_path
 
 
@@ -99,6 +102,7 @@ def test_modulus_and_rest_shape_come_from_two_scenes(hanging):
         ("rest.obj", 'estimate = ["friction"]', "touches nothing without [[obstacle]]"),
         ("rest.obj", 'estimate = ["young", "density"]', "cannot tell young and density apart"),
         ("rest.obj", 'estimate = ["young"]\nalso = ["third.toml"]', "third.toml: no such file"),
+        ("rest.obj", 'estimate = ["young"]\nalso = ["statics.toml"]', 'allowed in inverse.also: "inverse"'),
     ],
 )
 def test_what_the_data_cannot_determine_is_refused(hanging, rest, inverse, said):

@@ -46,12 +46,13 @@ class Observation:
         self.rest = RestShape(problem, target=False)
         self.seen = self.rest.is_vertex
         self.count: int = problem.comm.allreduce(int(self.seen.sum()))
-        self.first, self.later = steps, steps if obstacles else 1
+        self.steps = steps
         problem.load_factor = 1.0
         away = 0.0 if observed is None else observed - problem.positions(problem.create_vector())
         self.target = field_vector(problem, away + np.zeros((len(problem.own), 3)))
         self.state: PETSc.Vec | None = None
-        self.simulations, self.reason = 0, ""  # why the last one has no end
+        self.simulations = 0
+        self.stable, self.reason = False, ""  # of the last one's end; why it has none
         self._factor = PETSc.PC().create(comm=problem.comm)
         use_cholesky(self._factor)
         self._factor.setFromOptions()
@@ -103,13 +104,13 @@ class Observation:
         none."""
         problem = self.problem
         start = None if self.obstacles else self.state
-        steps = self.first if start is None else self.later
+        steps = self.steps if start is None else 1
         problem.contact = None
         attach(problem, list(self.obstacles), self.offset)
         self.simulations += 1
         path = solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=accuracy), start=start)
         problem.unbase(path.state)
-        self.reason = "" if path.converged else path.reason
+        self.stable, self.reason = bool(path.stable), "" if path.converged else path.reason
         if not path.converged:
             return None
         self.state = path.state.copy()

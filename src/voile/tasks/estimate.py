@@ -1,5 +1,6 @@
 """task = inverse with inverse.estimate: parameters from observed equilibria."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from voile.errors import InputError
@@ -36,13 +37,14 @@ def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: 
     )
     seen = unknown.observation if unknown else observations[0]
     state = seen.problem.create_vector() if unknown else result.states[0]
+    if shell is not None and result.rest is not None:
+        shell = replace(shell, rest_points=result.rest)
+        write_obj(folder / "rest.obj", result.rest, shell.triangles, comment=f"{METRES}\nrest shape")
     mesh = static_mesh(model, shell, seen.problem.directors) if shell is not None else None
     with ResultWriter(
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
     ) as writer:
         writer.write_step(1.0, scalars={"misfit": result.misfit}, **rows(seen.problem, state))
-    if result.rest is not None and shell is not None:
-        write_obj(folder / "rest.obj", result.rest, shell.triangles, comment=f"{METRES}\nrest shape")
     report = {
         "estimate": {
             name: {"value": value, "deviation": result.deviations[name]}
@@ -54,7 +56,8 @@ def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: 
     }
     for name, value in result.values.items():
         progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
-    path = LoadPath(state, converged=True, reason="estimate settled", stable=True)
+    stable = all(observation.stable for observation in observations)
+    path = LoadPath(state, converged=True, reason="estimate settled", stable=stable)
     summarise(scene, model, seen.problem, path, folder, dict(seen.problem.seconds), began, inverse=report)
     return ""
 
@@ -64,6 +67,10 @@ def _further(scene, model) -> list[tuple]:
     found = []
     for path in scene.inverse.also:
         other = read_scene(path)
+        if other.scene.task != "inverse":
+            raise InputError(
+                f'{path}: scene.task is "{other.scene.task}"; allowed in inverse.also: "inverse"'
+            )
         missing = unsupported(other)
         if missing:
             raise InputError(f"{path}: this version cannot run {'; '.join(missing)}")
