@@ -68,13 +68,14 @@ class Assembly:
         self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: np.ndarray | None = None
     ) -> None:
         """Makes room in the matrix for blocks that are to be added. Its pattern grows if it must, and then for contacts
-        over vertices that are likely to come, too (c, s)."""
+        over vertices that are likely to come, too (c, s); its attribute `coupled` counts them."""
         needed = [self._codes(vertex) for vertex, _ in blocks if vertex.ndim == 2]
         if not np.isin(np.concatenate([*needed, self.coupled[:0]]), self.coupled).all():
             near = [] if likely is None else [self._codes(likely)]
             self.coupled = np.unique(np.concatenate([*needed, *near, self.coupled]))
             self._pattern = None
             self._allocate(matrix, kernel)
+            matrix.setAttr("coupled", len(self.coupled))
         elif matrix.handle != self._bound:
             self._bind(matrix)
 

@@ -20,7 +20,7 @@ from voile.problem.anchor import Anchor, difference
 from voile.problem.discrete import Problem
 from voile.problem.scales import round_off, slow_rate
 from voile.solver.complementarity import OPTION, Complementarity
-from voile.solver.newton import Newton, negative_pivots
+from voile.solver.newton import Newton, negative_pivots, renew
 from voile.solver.semismooth import MOST, Semismooth
 from voile.solver.stability import smallest_eigenpair
 
@@ -253,8 +253,9 @@ class FrictionalSolver:
 
     def stable(self, y: PETSc.Vec) -> bool:
         """Whether the tangent has no negative eigenvalue where contact lets the shell move."""
-        pc = self.snes.ksp.pc
-        pc.setOperators(self.stability_matrix(y))
+        pc, matrix = self.snes.ksp.pc, self.stability_matrix(y)
+        renew(pc, matrix)
+        pc.setOperators(matrix)
         pc.setUp()
         return negative_pivots(pc) == 0
 

@@ -53,6 +53,13 @@ def add_mass(matrix: PETSc.Mat, mass: PETSc.Vec, shift: float) -> None:
     matrix.setDiagonal(shifted, addv=PETSc.InsertMode.ADD_VALUES)
 
 
+def renew(pc: PETSc.PC, matrix: PETSc.Mat) -> None:
+    """Drops a factorisation that the pattern has outgrown, which PETSc 3.26 does not notice on several ranks."""
+    if pc.getAttr("coupled") != matrix.getAttr("coupled"):
+        pc.reset()
+        pc.setAttr("coupled", matrix.getAttr("coupled"))
+
+
 @contextmanager
 def timed(solver) -> Iterator[None]:
     """Adds the time within to solver.seconds."""
@@ -305,6 +312,7 @@ class Newton:
         with timed(self):
             if not self.usable:
                 pc.reset()  # PETSc leaves a MUMPS instance that failed once as it is
+            renew(pc, matrix)
             snes.ksp.setOperators(self._operator(matrix), matrix)
             pc.setUp()
             while factorisation_error(pc) in WORK_SPACE and _more_work_space(pc):

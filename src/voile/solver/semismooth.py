@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from voile.contact.state import Contact, Linearised
 from voile.problem.discrete import Problem
-from voile.solver.newton import NOT_FINITE, REACH, factorisation_error, negative_pivots, timed
+from voile.solver.newton import NOT_FINITE, REACH, factorisation_error, negative_pivots, renew, timed
 
 CORRECTIONS = 3  # solves with one factorisation that turn firm stiffnesses into constraints
 MOST = 60  # iterations
@@ -105,6 +105,7 @@ class Semismooth:
         """Cholesky or LU of the matrix; None where it fails."""
         pc = snes.ksp.pc if symmetric else self._unsymmetric()
         with timed(self):
+            renew(pc, matrix)
             pc.setOperators(matrix)
             pc.setUp()
         if factorisation_error(pc):
