@@ -95,6 +95,21 @@ def test_modulus_and_rest_shape_come_from_two_scenes(hanging):
 
 
 @pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("clamp = true", "fix.0.clamp holds directors as they are in the mesh"),
+        ("move = { displacement = [0.0, 0.0, 0.1] }", "fix.0.move leads away from the mesh"),
+        (f"{DRUM_TEXT}".replace("[contact]", "[obstacle.move]\ndisplacement = [0.0, 0.0, 0.1]\n[contact]"),
+         "obstacle.0.move leads away"),
+    ],
+)  # fmt: skip
+def test_what_needs_the_shape_before_is_refused_without_it(hanging, more, said):
+    write(hanging, "scene.toml", "hangs.obj", more=f'{more}\n[inverse]\nestimate = ["young"]\n')
+    code, answer = run(hanging)
+    assert code == 2 and said in answer and "inverse.observed" in answer
+
+
+@pytest.mark.parametrize(
     ("rest", "inverse", "said"),
     [
         ("", 'estimate = ["young"]', "needs shell.rest"),

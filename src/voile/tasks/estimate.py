@@ -64,6 +64,7 @@ def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: 
 
 def _further(scene, model) -> list[tuple]:
     """Scenes and models of inverse.also. Raises InputError for one that cannot tell of the same fabric."""
+    _check_start(scene)
     found = []
     for path in scene.inverse.also:
         other = read_scene(path)
@@ -78,6 +79,7 @@ def _further(scene, model) -> list[tuple]:
             raise InputError(
                 f"{path}: shell.rest: allowed: the known rest shape in all scenes of an estimation, or in none"
             )
+        _check_start(other)
         found.append((other, build_model(other)))
         triangles = found[-1][1].shell.triangles
         if scene.shell.rest is None and not (
@@ -85,6 +87,25 @@ def _further(scene, model) -> list[tuple]:
         ):
             raise InputError(f"{path}: shell.mesh: allowed without shell.rest: the triangles of {scene.path}")
     return found
+
+
+def _check_start(scene) -> None:
+    """Raises InputError for supports or bodies that only the shape before the observed one can place."""
+    if scene.inverse.observed:
+        return
+    for k, fix in enumerate(scene.fix):
+        if fix.clamp or fix.move:
+            key = "clamp holds directors as they are in" if fix.clamp else "move leads away from"
+            raise InputError(
+                f"{scene.path}: fix.{k}.{key} the mesh; allowed with an estimation: the mesh from before, and "
+                "inverse.observed"
+            )
+    for k, body in enumerate(scene.obstacle):
+        if body.move:
+            raise InputError(
+                f"{scene.path}: obstacle.{k}.move leads away from the mesh; allowed with an estimation: the mesh from "
+                "before, and inverse.observed"
+            )
 
 
 def _observation(other: tuple | None, comm):
