@@ -1,5 +1,6 @@
 """Real garments of ../shared/meshes, draped through the command line (scripts/garments) to 1e-8 of their weight."""
 
+import sys
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -15,6 +16,7 @@ SCRIPT = Path(__file__).parents[1] / "scripts" / "garments"
 
 @pytest.fixture(scope="module")
 def garments():
+    sys.path.insert(0, str(SCRIPT.parent))
     loader = SourceFileLoader("garments", str(SCRIPT))
     module = module_from_spec(spec_from_loader("garments", loader))
     loader.exec_module(module)
@@ -27,6 +29,7 @@ def garments():
         "skirt",
         pytest.param("dress", marks=pytest.mark.slow),
         pytest.param("pleated", marks=pytest.mark.slow),
+        pytest.param("worn", marks=pytest.mark.study),
     ],
 )
 def test_garment_hangs_in_a_stable_equilibrium(garments, shared, tmp_path, name):
@@ -39,7 +42,12 @@ def test_garment_hangs_in_a_stable_equilibrium(garments, shared, tmp_path, name)
     assert np.isfinite(points).all()
     size = np.linalg.norm(np.ptp(result.start, axis=0))
     assert np.linalg.norm(points - result.start, axis=1).max() < size
-    if name == "pleated":
+    if name == "worn":
+        contact, weight = summary["contact"], np.array(summary["contact"]["obstacles"][0]["force"])
+        assert contact["friction_error"] < 1e-8 and contact["max_penetration"] < 1e-10
+        assert contact["self_contacts"] > 0 and contact["stick"] > 100
+        assert np.abs(weight - [0.0, weight[1], 0.0]).max() < 1e-8 * weight[1]
+    if name in ("pleated", "worn"):
         s = read_mesh(shared / "meshes" / "pleated-dress-panels.obj").stitches
         w = s.weight[:, None]
         seam = points[s.slave] - (1 - w) * points[s.first] - w * points[s.second]

@@ -53,12 +53,13 @@ def test_layers_caught_in_a_gaping_seam_cannot_touch():
     gape = 0.4 * OFFSET
     shell, patch = sewn_panels(0.3, gape)
     layers = shell_layers(shell, OFFSET, 0.0)
-    assert len(layers.nearer(0.99 * gape)) == 0
+    assert layers.caught > 0 and len(layers.nearer(0.99 * gape)) == 0
     caught = (layers.barred >= patch).sum(axis=1) == 1  # with one of the panels
     assert caught.any()
     everything = replace(layers, barred=np.zeros((0, 2), dtype=int))
     assert len(everything.nearer(0.99 * gape))
     shell, patch = sewn_panels(0.3)
+    assert shell_layers(shell, OFFSET, 0.0).caught == 0
     assert not ((shell_layers(shell, OFFSET, 0.0).barred >= patch).sum(axis=1) == 1).any()
 
 

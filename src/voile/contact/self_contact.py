@@ -40,8 +40,8 @@ class Candidates:
 class Layers:
     """All n vertices of a shell as layers that keep `thickness` (m) between their mid-surfaces.
 
-    points (n, 3) m; triangles (m, 3); edges (e, 2); barred (b, 2): vertices too near along the cloth to touch;
-    friction: Coulomb's coefficient.
+    points (n, 3) m; triangles (m, 3); edges (e, 2); barred (b, 2): vertices too near along the cloth to touch, or
+    `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient.
     """
 
     points: np.ndarray
@@ -50,6 +50,7 @@ class Layers:
     barred: np.ndarray
     thickness: float
     friction: float
+    caught: int = 0
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)

@@ -49,7 +49,7 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     barred = np.unique(np.concatenate([near, _joined(sewn, n)]), axis=0)
     layers = Layers(x, shell.triangles, edges, barred, 2.0 * offset, friction)
     caught = layers.nearer(seam_gap(shell))
-    return replace(layers, barred=np.concatenate([barred, caught])) if len(caught) else layers
+    return replace(layers, barred=np.concatenate([barred, caught]), caught=len(np.unique(caught, axis=0)))
 
 
 def _joined(sewn: np.ndarray, n: int) -> np.ndarray:

@@ -27,6 +27,11 @@ def run_statics(scene, model, folder: Path, comm, progress: Progress, began: flo
     layers = None
     if shell is not None and scene.contact.self_contact:
         layers = shell_layers(shell, model.offset, scene.contact.self_friction)
+        if layers.caught:
+            model.notes.append(
+                f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, with a layer "
+                "caught between: they are not kept apart"
+            )
     attach(problem, *comm.bcast((model.obstacles, model.offset, layers) if model else None))
     mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
     writing, reached = 0.0, 0
