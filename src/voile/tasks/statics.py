@@ -29,7 +29,7 @@ def run_statics(scene, model, folder: Path, comm, progress: Progress, began: flo
         layers = shell_layers(shell, model.offset, scene.contact.self_friction)
         if layers.caught:
             model.notes.append(
-                f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, with a layer "
+                f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a layer "
                 "caught between: they are not kept apart"
             )
     attach(problem, *comm.bcast((model.obstacles, model.offset, layers) if model else None))
