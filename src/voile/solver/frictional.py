@@ -10,6 +10,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
@@ -33,6 +34,7 @@ SOFTEST, HARDENING = (
 DESCENT, SHORT = 300, 40  # iterations of one; where reactions lag behind
 FAR = 0.01  # sizes of the shell that a step may move before friction is known
 PSEUDO_STEPS = 300
+PATIENCE = 8  # of them at most without the semismooth method
 DONE, UNFINISHED = 1, 2  # steps of it
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
@@ -136,13 +138,15 @@ class FrictionalSolver:
         self.contact.state = state.copy()
         _, mode = smallest_eigenpair(self.problem, self.stability_matrix(y), slow_rate(self.problem))
         outcome = Outcome(False, "descent", "no way off the saddle")
+        # What nothing holds has no least potential.
+        way = partial(self._by_descent, softest=1.0) if self.problem.supported else self._by_pseudo_time
         for kick in range(KICKS):
             step = mode.copy()
             step.scale(self.perturbation * 4.0**kick)
             y.waxpy(self.problem.free_share(saddle, step), step, saddle)
             self.contact.state = state.copy()
-            outcome = self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0), y, wanted)
-            if outcome.converged:
+            outcome = self._attempt(way, y, wanted)
+            if outcome.converged or outcome.gone:
                 break
         return outcome
 
@@ -178,7 +182,7 @@ class FrictionalSolver:
     def _by_pseudo_time(self, y: PETSc.Vec, wanted: float) -> Outcome:
         problem = self.problem
         mass, slow = problem.mass(), slow_rate(problem)
-        loads = max(problem.load_norm(y), wanted / 1e-8)
+        loads, began = max(problem.load_norm(y), wanted / 1e-8), self.contact.state.copy()
         rate, tried, pull, origin = FIRST_RATE * slow, np.inf, np.inf, y.copy()
         try:
             for _ in range(PSEUDO_STEPS):
@@ -202,16 +206,25 @@ class FrictionalSolver:
                     tried, problem.anchor = pull, None
                     self._begin(y)
                     if self._attempt(self._directly, y, wanted).converged:
+                        if problem.supported:
+                            self._recall(y, wanted, began)
                         return Outcome(True, "pseudo-time")
         finally:
             problem.anchor = None
         return Outcome(False, "pseudo-time", f"{PSEUDO_STEPS} steps of pseudo-time did not settle")
 
+    def _recall(self, y: PETSc.Vec, wanted: float, began: State) -> None:
+        """An equilibrium whose slip is that of the whole load step, begun in that state, where there is one near: that
+        of pseudo-time is measured from its own last step."""
+        found, state = self.contact.state.copy(), self.contact.state
+        state.reference, state.factor, state.layers = began.reference, began.factor, began.layers
+        if not self._attempt(self._directly, y, wanted).converged:
+            self.contact.state = found
+
     def _pseudo_step(self, y: PETSc.Vec, wanted: float, rough: float, pull: float) -> int:
-        """DONE, UNFINISHED or (0) failed: by the semismooth method, else by descent. Layers in contact share their
-        reactions as they like, which neither settles in every step: there the first waits longer and longer after it
-        has failed, and descent, as rough as the last step's pull (N) allows, leaves a part of the laws' mismatch to
-        the next step."""
+        """DONE, UNFINISHED or (0) failed: by the semismooth method, which waits longer and longer after it has failed,
+        else by descent. Where supports move the shell friction must remember: the laws hold in every step. Else a part
+        of their mismatch is left to the next step, as rough as the last step's pull (N) allows."""
         self._begin(y)
         reduced = REDUCED * self._norm(y)
         tolerance = max(wanted, min(rough, reduced))
@@ -220,10 +233,10 @@ class FrictionalSolver:
             if self._attempt(self._directly, y, tolerance).converged:
                 self._patience = 0
                 return DONE
-            self._wait = self._patience = max(2 * self._patience, 1) if self.contact.itself else 0
-        if self.contact.itself:
+            self._wait = self._patience = min(max(2 * self._patience, 1), PATIENCE)
+        if not self.problem.supported or self.contact.itself:
             return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
-        descent = self._attempt(lambda y, wanted: self._by_descent(y, wanted, 1.0, FEW), y, tolerance)
+        descent = self._attempt(partial(self._by_descent, softest=1.0, updates=FEW), y, tolerance)
         return DONE if descent.converged else 0
 
     def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
