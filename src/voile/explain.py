@@ -90,9 +90,12 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
 def _solver(scene: Scene, model: Model) -> str:
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         search = "Newton in the rest shape (MUMPS LU), inertia as certificate"
-        adjoint = "; adjoint method in TAO where the target is not stable" * (
-            scene.inverse.method == "adjoint"
-        )
+        then = {
+            "adjoint": "the nearest stable shape by an interior point method",
+            "tao": "adjoint method in TAO",
+        }
+        method = scene.inverse.method
+        adjoint = f"; {then[method]} where the target is not stable" if method in then else ""
         further = {"panels": "; then flat panels in TAO", "constraint": "; then developable in TAO"}
         return f"{search}{adjoint}{further.get(str(scene.inverse.developable), '')}; two simulations as proof"
     search = ""

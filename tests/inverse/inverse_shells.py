@@ -91,3 +91,18 @@ def strip(cells: int, length: float, width: float, **more) -> Shell:
     held = fixed[:, 0]
     clamped = np.flatnonzero(held[edges].all(axis=1)).astype(np.int32)
     return shell(points, triangles, fixed, clamped_edges=clamped, **more)
+
+
+def folded_skirt(around: int = 40, down: int = 6, irregular: float = 0.2, **more) -> Shell:
+    """A short skirt with five folds that hangs from its waist; irregular: shift of inner vertices in cells."""
+    turn, share = np.meshgrid(2.0 * np.pi * np.arange(around) / around, np.arange(down + 1) / down)
+    shift = irregular * np.random.default_rng(1).uniform(-1.0, 1.0, (2, *turn.shape))
+    turn[1:] += 2.0 * np.pi / around * shift[0, 1:]
+    share[1:-1] += shift[1, 1:-1] / down
+    radius = 0.15 + share * (0.10 + 0.04 * np.cos(5.0 * turn))
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), -0.25 * share], axis=-1).reshape(-1, 3)
+    a = np.arange(around * down).reshape(down, around)
+    b, c, d = np.roll(a, -1, axis=1), np.roll(a, -1, axis=1) + around, a + around
+    triangles = np.concatenate([np.stack(corners, -1).reshape(-1, 3) for corners in ((a, d, b), (b, d, c))])
+    fixed = np.repeat((np.arange(len(points)) < around)[:, None], 3, axis=1)
+    return shell(points, triangles.astype(np.int32), fixed, **more)

@@ -63,6 +63,7 @@ class Direct:
         """tolerance: residual over the loads' norm."""
         self.target, self.problem, self.rest = target, target.problem, target.rest
         self.tolerance = tolerance
+        self.moved = self.problem.create_vector()  # displacement of the shape to be held from the target
         self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -140,7 +141,7 @@ class Direct:
             invalid = self._invalid()
             if invalid:
                 return invalid, norm, it
-            y = self.rest.state(z)
+            y = self.state(z)
             target.hold(z)
             target.residual(y, f)
             norm, loads = f.norm(), target.load_norm(y)
@@ -154,6 +155,10 @@ class Direct:
                 return "dR/dX is singular", norm, it
             z.axpy(-1.0, direction)
         return f"the residual stays at {norm:.2e} N", norm, it
+
+    def state(self, z: PETSc.Vec) -> PETSc.Vec:
+        """The problem's unknowns at the shape to be held, with z's director angles."""
+        return self.rest.state(z) + self.moved
 
     def _step(self, y: PETSc.Vec, f: PETSc.Vec, direction: PETSc.Vec) -> bool:
         """Newton's direction D^-1 f; False where D is singular."""
@@ -185,7 +190,7 @@ class Direct:
 
     def negative(self, z: PETSc.Vec) -> int:
         """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
-        pc = factored(self.target.stiffness(self.rest.state(z)))
+        pc = factored(self.target.stiffness(self.state(z)))
         count = negative_pivots(pc)
         pc.destroy()
         assert count is not None  # a Cholesky factorisation tells

@@ -14,6 +14,8 @@ from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.direct import Direct, DirectPath, DirectStep
+from voile.inverse.nearest import MARGIN, NearestPath, approach
+from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.target import HOLDS, Target
 from voile.inverse.verify import Simulation, simulate
 from voile.problem.discrete import Problem
@@ -21,6 +23,7 @@ from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
+NEAR = 2.0  # sags of the nearest answer: a simulation that stays there
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
 
@@ -28,13 +31,16 @@ TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable 
 class InverseOptions:
     """friction: reactions in Coulomb's cones, else along the normal; contact_tolerance (m): target vertices nearer
     than this to an obstacle may carry a reaction; tolerance: residual of simulations over the loads' norm; method:
-    "direct", or "adjoint" to go on where the target itself is not stable, with the weight `regularisation` of the rest
-    shape's change, for `iterations` at most; developable: the rest shape has no angle defect inside."""
+    "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
+    (smallest eigenvalue over g/L), or, where there is no way to it and with "tao", by TAO with the weight
+    `regularisation` of the rest shape's change, for `iterations` at most; developable: the rest shape has no angle
+    defect inside."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
     tolerance: float = 1e-8
     method: str = "adjoint"
+    margin: float = MARGIN
     regularisation: float = 1e-3
     iterations: int = 20
     developable: bool = False
@@ -44,10 +50,10 @@ class InverseOptions:
 class InverseResult:
     """A rest shape (`rest`: rest displacements and director angles on the problem's unknowns) and what it is worth.
 
-    residual (N): of the balance at the target; adjoint: where the target itself is not stable, the search for the
-    nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at the adjoint method's equilibrium,
-    with its `mode`; simulation and disturbed: statics from the target and from beside it; seconds: of the search
-    (`inverse`) and of certificate and simulations (`proof`).
+    residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
+    the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`;
+    simulation and disturbed: statics from the target and from beside it; seconds: of the search (`inverse`) and of
+    certificate and simulations (`proof`).
     """
 
     target: Target
@@ -62,6 +68,7 @@ class InverseResult:
     seconds: dict[str, float]
     panels: PanelRest | None = None
     trade: list[dict[str, float]] | None = None
+    nearest: NearestPath | None = None
     guess: np.ndarray | None = None
 
     @property
@@ -71,7 +78,8 @@ class InverseResult:
     @property
     def converged(self) -> bool:
         """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
-        return (self.direct.converged or self.adjoint is not None) and self.stable and self.simulation.stable
+        found = self.direct.converged or self.nearest is not None or self.adjoint is not None
+        return found and self.stable and self.simulation.stable
 
     @property
     def reason(self) -> str:
@@ -87,6 +95,11 @@ class InverseResult:
                 if self.stable
                 else f"the target is unstable: {self._unstable()}"
             )
+        if self.nearest:
+            stays = self.simulation.sag <= NEAR * self.nearest.sag
+            found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}"
+            where = "" if stays else "; a simulation from the target leaves it"
+            return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
             return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
         if not self.stable:
@@ -107,6 +120,7 @@ def solve_inverse(
     on_iteration: AdjointProgress | None = None,
     exempt: np.ndarray | None = None,
     guess: np.ndarray | None = None,
+    on_nearest: NearestProgress | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface. exempt: vertices of the shell that may have an angle defect in a developable rest
@@ -118,8 +132,10 @@ def solve_inverse(
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
     path = _direct(target, on_step, None if away is None else target.field_vector(away))
-    adjoint = None
+    adjoint = nearest = None
     if not path.converged and options.method == "adjoint":
+        nearest = approach(target, path, options.margin, on_nearest)
+    if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         try:
             adjoint = minimise(
@@ -127,25 +143,27 @@ def solve_inverse(
             )
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
-    z = adjoint.rest if adjoint else path.rest
-    trade = None
+    found = nearest or adjoint or path
+    z, trade = found.rest, None
     if options.developable:
         target.load(1.0)
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
+        nearest = None
     searched = time.perf_counter()
     simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, options.tolerance, disturbed=True)
-    if adjoint is None:
+    if nearest:
+        eigenvalue, mode = nearest.eigenvalue, nearest.mode
+    elif adjoint:
+        eigenvalue, mode = simulation.eigenvalue, path.mode or problem.create_vector()
+    else:
         target.load(path.fraction)
         eigenvalue, mode = target.smallest(z)
-    else:
-        eigenvalue, mode = simulation.eigenvalue, problem.create_vector()
-    if path.mode is not None:
-        mode = path.mode
+        mode = path.mode or mode
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
-        guess=away,
+        nearest=nearest, guess=away,
     )  # fmt: skip
 
 
@@ -243,7 +261,7 @@ def solve_panels(
 
 def inverse_report(result: InverseResult) -> dict:
     """Figures for the summary: see the keys."""
-    target, direct, adjoint = result.target, result.direct, result.adjoint
+    target, direct, adjoint, nearest = result.target, result.direct, result.adjoint, result.nearest
     problem = target.problem
     low, high = (result.panels or target.rest).area_ratios()
     rest = problem.motion(result.rest)
@@ -258,6 +276,7 @@ def inverse_report(result: InverseResult) -> dict:
         "stable": result.stable,
         "smallest_eigenvalue": result.eigenvalue,
         "direct_iterations": direct.iterations,
+        "nearest": {"sag": nearest.sag, "steps": len(nearest.steps)} if nearest else None,
         "adjoint_iterations": len(adjoint.steps) - 1 if adjoint else 0,
         "forward_solves": (adjoint.forward_solves if adjoint else 0) + 2,
         "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,

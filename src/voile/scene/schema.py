@@ -256,7 +256,17 @@ class Inverse:
     friction: bool = key(
         Boolean(), "reactions in the Coulomb cones; false: along the normal only", default=True
     )
-    method: str = key(Choice("adjoint", "direct"), "inverse method", default="adjoint")
+    method: str = key(
+        Choice("adjoint", "direct", "tao"),
+        "direct; adjoint: goes on to the nearest stable shape where the target is not stable; tao: does so in TAO",
+        default="adjoint",
+    )
+    margin: float = key(
+        Number(above=0),
+        "adjoint: smallest eigenvalue asked for of that shape, over the weight's rate g/L; more is further from the "
+        "target and withstands more",
+        default=16.0,
+    )
     contact_tolerance: float = key(
         Number("m", above=0),
         "target vertices nearer than this to an obstacle may carry a reaction",
@@ -287,10 +297,10 @@ class Inverse:
     )
     regularisation: float = key(
         Number(least=0),
-        "adjoint: weight of the rest shape's change beside that of the distance to the target",
+        "in TAO: weight of the rest shape's change beside that of the distance to the target",
         default=1e-3,
     )
-    iterations: int = key(Integer(1), "adjoint: of the optimisation at most", default=20)
+    iterations: int = key(Integer(1), "in TAO: of the optimisation at most", default=20)
     tolerance: float = key(
         Number(above=0, below=1),
         "norm of the residual over the norm of the load, of the simulations that prove the rest shape",

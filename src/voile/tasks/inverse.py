@@ -40,6 +40,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         spec.contact_tolerance,
         spec.tolerance,
         spec.method,
+        spec.margin,
         spec.regularisation,
         spec.iterations,
         developable=spec.developable == "constraint",
@@ -58,7 +59,15 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     else:
         problem = Problem(shell, comm)
         result = solve_inverse(
-            problem, shell, bodies, offset, options, *says, _borders(model), _guess(scene, model)
+            problem,
+            shell,
+            bodies,
+            offset,
+            options,
+            *says,
+            _borders(model),
+            _guess(scene, model),
+            progress.nearest,
         )
     start = time.perf_counter()
     report = inverse_report(result)
@@ -171,6 +180,10 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
             0.0, scalars={"residual": result.residual, "converged": 1.0}, **_kept(at_target, keep)
         )
         path = result.simulation.path
+        if result.nearest:
+            writer.write_step(
+                0.5, scalars={"residual": 0.0, "converged": 1.0}, **rows(problem, result.nearest.state)
+            )
         with target.obstructed():
             simulated = rows(problem, path.state)
         scalars = {"residual": 0.0, "converged": float(path.converged)}

@@ -37,6 +37,13 @@ class Progress:
             f"{step.negative} negative eigenvalues  {time.perf_counter() - self.began:.1f} s"
         )
 
+    def nearest(self, step) -> None:
+        """One step to the nearest stable shape."""
+        self.line(
+            f"load {step.fraction:.4f}  nearest stable shape  sag {step.sag:.2e}  smallest eigenvalue "
+            f"{step.eigenvalue:.3g} 1/s^2  {time.perf_counter() - self.began:.1f} s"
+        )
+
     def optimisation(self, step) -> None:
         """One iteration of the adjoint method."""
         self.line(

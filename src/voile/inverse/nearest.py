@@ -1,0 +1,286 @@
+"""The stable shape nearest to a target that cannot be stable itself, with its rest shape.
+
+The shape x in equilibrium is the unknown; its rest shape z(x) follows by the direct method. Among the target's
+neighbours
+
+    min_x  |x - x_t|^2 / 2 + mu sum_i phi((lambda_i - m)/c),   phi(t) = -(1 - t)^2 log t for t < 1, else 0
+
+over the eigenvalues lambda_i of K(x; z(x)) v = lambda M v is solved by an interior point method: every iterate is a
+stable equilibrium, with a margin m. The barrier (Li et al. 2020) is smooth where eigenvalues cross and silent beyond c.
+The norm counts displacements and, over a short length, their gradients: in that of displacements alone the answer is
+rough from vertex to vertex. The path starts where the direct method stopped and follows the load to its full value.
+
+Each step minimises a model in which the stiffness projected on the lowest modes, V^T K V, is affine in x: modes repel
+each other, which the slopes of the eigenvalues do not tell.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.inverse.direct import Direct, DirectPath
+from voile.inverse.neighbours import Neighbours, Place
+from voile.inverse.spectral import Model, barrier
+from voile.inverse.target import CLEARANCE, Target
+from voile.inverse.verify import sag
+from voile.problem.rest import rest_areas
+from voile.solver.newton import add_mass, use_cholesky
+
+MARGIN = 16.0  # over g/L: what withstands a disturbance by the thickness on garments tried
+REACH = 0.05  # sizes of the shell, over which gradients count
+SHARES, LEAST = (0.05, 0.002), 1e-10  # mu: of half the squared distance, on the way and at its end; at least
+FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
+STIFFEST = 1e8  # damping
+POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
+SETTLED = 0.02  # of the merit that a step could still win
+STEPS = 150
+INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
+
+
+@dataclass
+class NearestStep:
+    """An accepted step: fraction of the load, largest displacement from the target over the size, smallest eigenvalue
+    and the margin asked for (1/s^2)."""
+
+    fraction: float
+    sag: float
+    eigenvalue: float
+    margin: float
+
+
+@dataclass
+class NearestPath:
+    """The outcome: rest displacements with director angles, the equilibrium found with its sag (over the size), its
+    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), and the steps."""
+
+    rest: PETSc.Vec
+    state: PETSc.Vec
+    sag: float
+    eigenvalue: float
+    mode: PETSc.Vec
+    steps: list[NearestStep]
+
+
+@dataclass
+class Local:
+    """The model at a place, in units of `cut` (1/s^2), what a step of 1 along the way adds to its matrix, the merit
+    there and the distance's part of it; displacements are `basis` @ `ortho` @ coordinates; `loaded`: the rest shape's
+    derivative by the load; the way of load and margin."""
+
+    model: Model
+    cut: float
+    rise: np.ndarray
+    merit: float
+    half: float
+    basis: list[PETSc.Vec]
+    ortho: np.ndarray
+    loaded: PETSc.Vec
+    way: tuple[float, float]
+
+
+@dataclass
+class Trial:
+    """A place proposed (None: none), the merit and the lowest eigenvalue above the margin that its model has there, in
+    cuts."""
+
+    place: Place | None
+    merit: float
+    lowest: float
+
+
+Progress = Callable[[NearestStep], None]
+
+
+class Nearest:
+    """Path of nearest stable shapes of a target on which the direct method has stopped."""
+
+    def __init__(self, direct: Direct, on_step: Progress | None = None):
+        self.target, self.problem = direct.target, direct.problem
+        self.beside = Neighbours(direct)
+        self.on_step, self.steps = on_step, list[NearestStep]()
+        target = self.target
+        self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
+        self.free = target.rest.is_vertex.copy()
+        held = np.zeros(len(target.x), dtype=bool)
+        held[target.cones.vertex] = True
+        self._hold(held)
+
+    def _hold(self, vertex: np.ndarray) -> None:
+        """Keeps local vertices (n,) where they are from now on."""
+        field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
+        self.free &= self.target.field_vector(field).array_r == 0.0
+        self.metric = self._create_metric()
+        self.lift = PETSc.PC().create(comm=self.problem.comm)
+        self.lift.setOperators(self.metric)
+        use_cholesky(self.lift)
+        self.lift.setUp()
+
+    def _create_metric(self) -> PETSc.Mat:
+        """(M + (REACH L)^2 G) / (M L^2) on what may move, M the mass, G the integral of mass times gradients, L the
+        size; a like diagonal elsewhere."""
+        problem, part = self.problem, self.problem.part
+        area, gradient = rest_areas(part)
+        slope = gradient / area[:, None, None]
+        local = np.einsum("tai,tbi,t->tab", slope, slope, area * part.fabric[0] * part.fabric[3])
+        blocks = np.zeros((len(area), 21, 21))
+        for axis in range(3):
+            blocks[:, axis:9:3, axis:9:3] = local
+        matrix = problem.create_matrix()
+        problem.assemble(matrix, blocks * (REACH * problem.size()) ** 2, ())
+        add_mass(matrix, self.beside.mass, 1.0)
+        total = self.beside.mass.sum() / 3.0
+        matrix.scale(1.0 / (total * problem.size() ** 2))
+        idle = np.flatnonzero(~self.free) + problem.part.first_global
+        matrix.zeroRowsColumns(
+            idle.astype(np.int32), 3.0 / (self.beside.mass.getSize() * problem.size() ** 2)
+        )
+        return matrix
+
+    # ---- the path ----
+
+    def advance(self, place: Place, fraction: float, margin: float) -> tuple[Place, bool]:
+        """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
+        there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
+        those win little."""
+        way = fraction - place.fraction, margin - place.margin
+        left, share, damping, moving = 1.0, FIRST, 0.0, True
+        for _ in range(STEPS):
+            end = not left
+            local = self._model(place, way, SHARES[end])
+            while True:
+                step = min(share, left) if moving else 0.0
+                trial = self._propose(local, place, step, damping)
+                if not moving and local.merit - trial.merit <= SETTLED * local.merit:
+                    if end:
+                        return place, True
+                    moving = True
+                    continue
+                inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
+                if not self.problem.everywhere(not inside.any()):
+                    self._hold(inside)
+                    local = self._model(place, way, SHARES[end])
+                    continue
+                quality = self._quality(trial, local, moving)
+                if quality > POOR:
+                    break
+                damping = max(4.0 * damping, 0.1)
+                share *= 0.5 if moving else 1.0
+                if share < SHORTEST or damping > STIFFEST:
+                    return place, False
+                self.beside.factor(place)
+            if moving:
+                share *= 2.0 if quality > GOOD else 1.0
+            elif quality > GOOD:
+                damping = 0.25 * damping if damping > 0.05 else 0.0
+            elif quality < FAIR:
+                damping = max(2.0 * damping, 0.1)
+            assert trial.place is not None  # of that quality
+            place, left, moving = trial.place, left - step, False
+            if not left:
+                place.fraction, place.margin = fraction, margin  # without round-off
+            self._note(place)
+        return place, False
+
+    def _model(self, place: Place, way: tuple[float, float], share: float) -> Local:
+        """Linearises at a place; way: of the fraction and the margin, for a step of 1."""
+        slopes, k, cut = self.beside.slopes(place), len(place.values), self.beside.cut
+        basis = [self._movable(place.s), *map(self._lifted, slopes.by_shape)]
+        gram = np.array([[b.dot(w) for b in basis] for w in map(self._weigh, basis)])
+        ortho = _orthonormal(gram)
+        rows, columns = np.array(slopes.pairs).T
+        turn, ahead = np.zeros((ortho.shape[1], k, k)), np.zeros((k, k))
+        turn[:, rows, columns] = turn[:, columns, rows] = (gram[1:] @ ortho).T
+        ahead[rows, columns] = ahead[columns, rows] = [b.dot(slopes.loaded) for b in slopes.by_rest]
+        half, matrix = 0.5 * gram[0, 0], np.diag(place.values - place.margin) / cut
+        model = Model(matrix, turn / cut, gram[0] @ ortho, max(share * half, LEAST))
+        rise = (way[0] * ahead - way[1] * np.eye(k)) / cut
+        merit = half + model.value(np.zeros(ortho.shape[1]))
+        return Local(model, cut, rise, merit, half, basis, ortho, slopes.loaded, way)
+
+    def _propose(self, local: Local, place: Place, step: float, damping: float) -> Trial:
+        """The minimiser of the model a step ahead."""
+        model = replace(local.model, matrix=local.model.matrix + step * local.rise)
+        c = model.minimise(damping)
+        if c is None:
+            return Trial(None, math.inf, math.nan)
+        move = self.problem.create_vector()
+        for weight, b in zip(local.ortho @ c, local.basis, strict=True):
+            move.axpy(weight, b)
+        there = self.beside.follow(place, move, step * local.way[0], local.loaded)
+        there.margin += step * local.way[1]
+        lowest = float(np.linalg.eigvalsh(model.at(c))[0])
+        return Trial(there, local.half + model.value(c), lowest)
+
+    def _quality(self, trial: Trial, local: Local, moving: bool) -> float:
+        """How well a trial keeps what the model promised, 1: the lowest eigenvalue ahead, or the decrease of the merit
+        here; negative where it is not stable."""
+        place = trial.place
+        if place is None or not self.beside.settle(place):
+            return -1.0
+        above = (place.values - place.margin) / local.cut
+        if moving:
+            return float(above[0]) / trial.lowest
+        s = self._movable(place.s)
+        merit = 0.5 * s.dot(self._weigh(s)) + local.model.mu * float(barrier(above)[0].sum())
+        return (local.merit - merit) / (local.merit - trial.merit)
+
+    def _movable(self, s: PETSc.Vec) -> PETSc.Vec:
+        out = s.copy()
+        out.array[~self.free] = 0.0
+        return out
+
+    def _lifted(self, slope: PETSc.Vec) -> PETSc.Vec:
+        out = slope.duplicate()
+        self.lift.apply(self._movable(slope), out)
+        return out
+
+    def _weigh(self, s: PETSc.Vec) -> PETSc.Vec:
+        out = s.duplicate()
+        self.metric.mult(s, out)
+        return out
+
+    def _entering(self, place: Place) -> np.ndarray:
+        """(n,) the local vertices that a place has inside an obstacle."""
+        self.beside.go_to(place)
+        x = self.problem.positions(self.beside.direct.state(place.z))
+        inside = np.zeros(len(x), dtype=bool)
+        for body, floor in zip(self.target.obstacles, self.floor, strict=True):
+            inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
+        return inside & self.target.movable
+
+    def _note(self, place: Place) -> None:
+        moved = sag(self.target, self.beside.direct.state(place.z))
+        self.steps.append(NearestStep(place.fraction, moved, float(place.values[0]), place.margin))
+        if self.on_step:
+            self.on_step(self.steps[-1])
+
+
+def _orthonormal(gram: np.ndarray) -> np.ndarray:
+    """(p, q) combinations of p vectors with these products that are orthonormal, dependent ones left out."""
+    size = np.sqrt(np.diag(gram))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    theta, q = np.linalg.eigh(gram * scale * scale[:, None])
+    kept = theta > INDEPENDENT * theta[-1]
+    return scale[:, None] * q[:, kept] / np.sqrt(theta[kept])
+
+
+def approach(
+    target: Target, path: DirectPath, margin: float, on_step: Progress | None = None
+) -> NearestPath | None:
+    """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
+    of `margin` times the weight's rate g/L; None where that is not reached. The problem is left there."""
+    search = Nearest(Direct(target), on_step)
+    place = Place(target.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
+    reached = search.beside.settle(place)
+    for fraction in (place.fraction, 1.0):  # the way is easier away from the loss of stability
+        if reached:
+            place, reached = search.advance(place, fraction, margin * search.beside.slow)
+    if not reached:
+        return None
+    state = search.beside.go_to(place)
+    return NearestPath(
+        place.z, state, sag(target, state), float(place.values[0]), place.modes[0], search.steps
+    )

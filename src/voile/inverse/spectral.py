@@ -1,0 +1,88 @@
+"""A barrier over the lowest eigenvalues of a matrix, and the minimum of a model that has it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+INSIDE = 0.02  # of the barrier's reach: where a start inside lies
+STEPS = 100
+DECREASE = 1e-10  # relative, of the last step
+
+
+def barrier(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """phi(t) = -(1 - t)^2 log t (Li et al. 2020), zero for t > 1 and infinite for t <= 0, with two derivatives."""
+    if not (t > 0.0).all():
+        return (np.full_like(t, math.inf),) * 3
+    t = np.minimum(t, 1.0)
+    u, log = 1.0 - t, np.log(t)
+    return -(u**2) * log, 2.0 * u * log - u**2 / t, -2.0 * log + 4.0 * u / t + u**2 / t**2
+
+
+@dataclass
+class Model:
+    """pull c + (1 + damping)/2 |c|^2 + mu sum_i phi(eig_i(matrix + sum_p c_p slopes_p)) of coordinates c (p,).
+
+    matrix (k, k) and slopes (p, k, k): symmetric, in units of the barrier's reach.
+    """
+
+    matrix: np.ndarray
+    slopes: np.ndarray
+    pull: np.ndarray
+    mu: float
+
+    def at(self, c: np.ndarray) -> np.ndarray:
+        """The matrix at c."""
+        return self.matrix + np.tensordot(c, self.slopes, 1)
+
+    def value(self, c: np.ndarray, damping: float = 0.0) -> float:
+        t = np.linalg.eigvalsh(self.at(c))
+        return float(self.pull @ c + 0.5 * (1.0 + damping) * c @ c + self.mu * barrier(t)[0].sum())
+
+    def minimise(self, damping: float) -> np.ndarray | None:
+        """Its minimiser, by Newton's method; None where no start inside is found."""
+        c = self._inside()
+        if c is None:
+            return None
+        value = self.value(c, damping)
+        for _ in range(STEPS):
+            gradient, hessian = self._derivatives(c, damping)
+            step = -np.linalg.solve(hessian, gradient)
+            slope = float(gradient @ step)
+            if -slope <= DECREASE * abs(value):
+                break
+            length = 1.0
+            while not self.value(c + length * step, damping) <= value + 1e-4 * length * slope:
+                length *= 0.5
+                if length < 1e-10:  # round-off
+                    return c
+            c = c + length * step
+            value = self.value(c, damping)
+        return c
+
+    def _derivatives(self, c: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and Hessian; the latter by divided differences (Lewis and Sendov 2001)."""
+        t, v = np.linalg.eigh(self.at(c))
+        _, first, second = barrier(t)
+        turned = v.T @ self.slopes @ v
+        gap = t[:, None] - t[None, :]
+        close = np.abs(gap) < 1e-9
+        mean = 0.5 * (second[:, None] + second)
+        divided = np.where(close, mean, (first[:, None] - first) / np.where(close, 1.0, gap))
+        flat = turned.reshape(len(c), -1)
+        gradient = self.pull + (1.0 + damping) * c + self.mu * np.einsum("pii,i->p", turned, first)
+        return gradient, (1.0 + damping) * np.eye(len(c)) + self.mu * (flat * divided.ravel()) @ flat.T
+
+    def _inside(self) -> np.ndarray | None:
+        """The least move that lifts all eigenvalues above zero, step by step."""
+        c = np.zeros(len(self.pull))
+        for _ in range(60):
+            t, v = np.linalg.eigh(self.at(c))
+            if t[0] > 0.0:
+                return c
+            low = t < INSIDE
+            rise = np.einsum("ai,pab,bi->pi", v[:, low], self.slopes, v[:, low])
+            if not rise.any():
+                return None
+            c = c + rise @ np.linalg.lstsq(rise.T @ rise, 2.0 * INSIDE - t[low], rcond=1e-10)[0]
+        return None
