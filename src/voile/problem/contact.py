@@ -107,7 +107,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     state = fields["contact"][problem.own]
     counts = comm.allreduce(np.array([(state > FREE).sum(), (state == STICK).sum(), (state == SLIP).sum()]))
     inside = problem.own & contact.movable
-    depth = comm.allreduce(float(np.max(-fields["gap"][inside], initial=0.0)), op=MPI.MAX)
+    depth = comm.allreduce(abs(float(np.min(fields["gap"][inside], initial=0.0))), op=MPI.MAX)
     area = _vertex_areas(problem)
     totals, touching = np.zeros((len(contact.obstacles), 8)), 0
     for pairs in contact.pairs(x, factor):
