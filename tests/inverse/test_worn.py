@@ -17,9 +17,9 @@ SIZES = {"hat": 0.02, "sock": 0.012, "t-shirt": 0.03}  # m
 TOPOLOGY = {"hat": (1, 1), "sock": (1, 1), "t-shirt": (4, -2)}  # boundary loops, Euler characteristic
 
 
-def write_scene(folder, garment: str, young: float, thickness: float, friction: float) -> None:
+def write_scene(folder, garment: str, young: float, thickness: float, friction: float, size: float) -> None:
     """scene.toml and target.obj of a garment on its body."""
-    write_obj(folder / "target.obj", *worn.worn(garment, SIZES[garment]))
+    write_obj(folder / "target.obj", *worn.worn(garment, size))
     lines = ['[scene]\ntask = "inverse"\n[shell]\nmesh = "target.obj"\nbending = "average"']
     lines += [f"young = {young:g}", f"thickness = {thickness:g}", "density = 300.0"]
     for body in worn.BODIES[garment]:
@@ -59,7 +59,7 @@ def test_garments_are_manifolds_near_their_bodies(tmp_path, garment):
     ["hat", pytest.param("sock", marks=pytest.mark.slow), pytest.param("t-shirt", marks=pytest.mark.slow)],
 )
 def test_friction_alone_holds_garments(tmp_path, garment):
-    write_scene(tmp_path, garment, young=1e7, thickness=1e-3, friction=0.3)
+    write_scene(tmp_path, garment, young=1e7, thickness=1e-3, friction=0.3, size=SIZES[garment])
     done, summary = run(tmp_path)
     assert done.returncode == 0, done.stderr
     found = summary["inverse"]
@@ -68,3 +68,12 @@ def test_friction_alone_holds_garments(tmp_path, garment):
     assert found["sag_disturbed"] < 1e-4
     assert found["reactions"]["least_margin"] >= 0.0
     assert math.copysign(1.0, summary["contact"]["max_penetration"]) == 1.0  # no -0.0
+
+
+@pytest.mark.slow
+def test_a_thick_soft_t_shirt_settles_after_a_disturbance(tmp_path):
+    write_scene(tmp_path, "t-shirt", young=1e6, thickness=3e-3, friction=0.5, size=0.012)
+    done, summary = run(tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert summary["inverse"]["stable"]
+    assert summary["inverse"]["sag_disturbed"] < 1e-4  # a thickness is 3e-3 of the size

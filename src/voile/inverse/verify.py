@@ -12,6 +12,7 @@ from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
 
 DISTURBANCE = 1.0  # thicknesses
+NEARER = 0.1  # of its way to where contact may begin, that a vertex is disturbed at most: no jags there
 
 
 @dataclass
@@ -44,14 +45,14 @@ def simulate(
     eigenvalue: bool = False,
 ) -> Simulation:
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
-    starting at the target or, disturbed, a thickness off it where nothing touches. tolerance: residual over the loads'
+    starting at the target or, disturbed, a thickness off it away from contacts. tolerance: residual over the loads'
     norm."""
     problem = target.problem
     (panels or target.rest).set(z)
     with target.obstructed():
         start = problem.create_vector() if panels else target.rest.state(z)
         if disturbed:
-            start.axpy(DISTURBANCE * problem.thickness(), _disturbance(target))
+            start.axpy(1.0, _disturbance(target))
         options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
         path = solve_statics(problem, options, start=start)
         problem.unbase(path.state)
@@ -66,9 +67,11 @@ def sag(target: Target, y: PETSc.Vec) -> float:
 
 
 def _disturbance(target: Target) -> PETSc.Vec:
-    """A smooth displacement of largest entry 1 that leaves contacts where they are."""
+    """A smooth displacement (m) that leaves contacts where they are: a thickness in the largest entry far off them."""
     problem, x = target.problem, target.x
     wave = np.pi * np.array([[3.0, 1.0, 2.0], [1.0, 3.0, 1.0], [2.0, 1.0, 3.0]]) / problem.size()
-    field = np.sin(x @ wave.T)
-    field[target.cones.vertex] = 0.0
-    return target.field_vector(field)
+    reach = np.full(len(x), DISTURBANCE * problem.thickness())
+    for obstacle in target.obstacles:
+        away = obstacle.gap(x, 0.0) - target.offset - target.tolerance
+        reach = np.minimum(reach, NEARER * np.maximum(away, 0.0))
+    return target.field_vector(reach[:, None] * np.sin(x @ wave.T))
