@@ -138,14 +138,14 @@ class Direct:
         norm, best, idle = math.inf, math.inf, 0
         for it in range(MOST + 1):
             self.rest.set(z)
-            invalid = self._invalid()
+            invalid = self.invalid()
             if invalid:
                 return invalid, norm, it
             y = self.state(z)
             target.hold(z)
             target.residual(y, f)
             norm, loads = f.norm(), target.load_norm(y)
-            if norm <= max(self.tolerance * loads, self._floor()):
+            if norm <= max(self.tolerance * loads, self.floor()):
                 return "", norm, it
             idle = idle + 1 if norm >= best else 0
             if not norm < WORST * max(loads, best) or idle > IDLE:
@@ -182,7 +182,7 @@ class Direct:
             self.tangent.diagonalScale(None, mask)
             self.matrix.axpy(1.0, self.tangent, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
-    def _floor(self) -> float:
+    def floor(self) -> float:
         """Round-off of the residual (N): of positions times stiffness."""
         if not self.matrix.isAssembled():
             return 0.0
@@ -196,7 +196,7 @@ class Direct:
         assert count is not None  # a Cholesky factorisation tells
         return count
 
-    def _invalid(self) -> str:
+    def invalid(self) -> str:
         low, high = self.rest.area_ratios()
         if not (low >= AREAS[0] and high <= AREAS[1]):
             return (

@@ -22,21 +22,20 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.inverse.direct import Direct, DirectPath
-from voile.inverse.neighbours import Neighbours, Place
+from voile.inverse.neighbours import Move, Neighbours, Place
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
-from voile.problem.rest import rest_areas
-from voile.solver.newton import add_mass, use_cholesky
 
+FIRMER = 2.0, 4.0
 MARGIN = 16.0  # over g/L: what withstands a disturbance by the thickness on garments tried
-REACH = 0.05  # sizes of the shell, over which gradients count
-SHARES, LEAST = (0.05, 0.002), 1e-10  # mu: of half the squared distance, on the way and at its end; at least
+SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
+LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
 STIFFEST = 1e8  # damping
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
 SETTLED = 0.02  # of the merit that a step could still win
-STEPS = 150
+STEPS = 300
 INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
 
 
@@ -67,17 +66,17 @@ class NearestPath:
 @dataclass
 class Local:
     """The model at a place, in units of `cut` (1/s^2), what a step of 1 along the way adds to its matrix, the merit
-    there and the distance's part of it; displacements are `basis` @ `ortho` @ coordinates; `loaded`: the rest shape's
-    derivative by the load; the way of load and margin."""
+    there and the distance's part of it; moves are `basis` @ `ortho` @ coordinates, and `loaded` for a step of 1 along
+    the way of load and margin."""
 
     model: Model
     cut: float
     rise: np.ndarray
     merit: float
     half: float
-    basis: list[PETSc.Vec]
+    basis: list[Move]
     ortho: np.ndarray
-    loaded: PETSc.Vec
+    loaded: Move
     way: tuple[float, float]
 
 
@@ -99,45 +98,12 @@ class Nearest:
 
     def __init__(self, direct: Direct, on_step: Progress | None = None):
         self.target, self.problem = direct.target, direct.problem
-        self.beside = Neighbours(direct)
         self.on_step, self.steps = on_step, list[NearestStep]()
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
-        self.free = target.rest.is_vertex.copy()
         held = np.zeros(len(target.x), dtype=bool)
         held[target.cones.vertex] = True
-        self._hold(held)
-
-    def _hold(self, vertex: np.ndarray) -> None:
-        """Keeps local vertices (n,) where they are from now on."""
-        field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
-        self.free &= self.target.field_vector(field).array_r == 0.0
-        self.metric = self._create_metric()
-        self.lift = PETSc.PC().create(comm=self.problem.comm)
-        self.lift.setOperators(self.metric)
-        use_cholesky(self.lift)
-        self.lift.setUp()
-
-    def _create_metric(self) -> PETSc.Mat:
-        """(M + (REACH L)^2 G) / (M L^2) on what may move, M the mass, G the integral of mass times gradients, L the
-        size; a like diagonal elsewhere."""
-        problem, part = self.problem, self.problem.part
-        area, gradient = rest_areas(part)
-        slope = gradient / area[:, None, None]
-        local = np.einsum("tai,tbi,t->tab", slope, slope, area * part.fabric[0] * part.fabric[3])
-        blocks = np.zeros((len(area), 21, 21))
-        for axis in range(3):
-            blocks[:, axis:9:3, axis:9:3] = local
-        matrix = problem.create_matrix()
-        problem.assemble(matrix, blocks * (REACH * problem.size()) ** 2, ())
-        add_mass(matrix, self.beside.mass, 1.0)
-        total = self.beside.mass.sum() / 3.0
-        matrix.scale(1.0 / (total * problem.size() ** 2))
-        idle = np.flatnonzero(~self.free) + problem.part.first_global
-        matrix.zeroRowsColumns(
-            idle.astype(np.int32), 3.0 / (self.beside.mass.getSize() * problem.size() ** 2)
-        )
-        return matrix
+        self.beside = Neighbours(direct, held)
 
     # ---- the path ----
 
@@ -149,8 +115,8 @@ class Nearest:
         left, share, damping, moving = 1.0, FIRST, 0.0, True
         for _ in range(STEPS):
             end = not left
-            local = self._model(place, way, SHARES[end])
-            while True:
+            local = self._model(place, way, end)
+            while local:
                 step = min(share, left) if moving else 0.0
                 trial = self._propose(local, place, step, damping)
                 if not moving and local.merit - trial.merit <= SETTLED * local.merit:
@@ -160,8 +126,8 @@ class Nearest:
                     continue
                 inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
                 if not self.problem.everywhere(not inside.any()):
-                    self._hold(inside)
-                    local = self._model(place, way, SHARES[end])
+                    self.beside.hold(inside)
+                    local = self._model(place, way, end)
                     continue
                 quality = self._quality(trial, local, moving)
                 if quality > POOR:
@@ -170,7 +136,8 @@ class Nearest:
                 share *= 0.5 if moving else 1.0
                 if share < SHORTEST or damping > STIFFEST:
                     return place, False
-                self.beside.factor(place)
+            else:
+                return place, False  # nothing can be factored here
             if moving:
                 share *= 2.0 if quality > GOOD else 1.0
             elif quality > GOOD:
@@ -184,21 +151,28 @@ class Nearest:
             self._note(place)
         return place, False
 
-    def _model(self, place: Place, way: tuple[float, float], share: float) -> Local:
+    def _model(self, place: Place, way: tuple[float, float], end: bool) -> Local | None:
         """Linearises at a place; way: of the fraction and the margin, for a step of 1."""
-        slopes, k, cut = self.beside.slopes(place), len(place.values), self.beside.cut
-        basis = [self._movable(place.s), *map(self._lifted, slopes.by_shape)]
-        gram = np.array([[b.dot(w) for b in basis] for w in map(self._weigh, basis)])
-        ortho = _orthonormal(gram)
-        rows, columns = np.array(slopes.pairs).T
+        beside, k = self.beside, len(place.values)
+        if not beside.linearise(place):
+            return None
+        slopes, cut = beside.slopes(place), beside.cut
+        gradients = [Move(beside.weigh(place.s), self.problem.create_vector()), *slopes.values()]
+        basis = [beside.move(g) for g in gradients]
+        gram = np.array([[g.dot(b) for b in basis] for g in gradients])
+        ortho = _orthonormal(0.5 * (gram + gram.T))
+        force = beside.load_slope(place)
+        force.scale(-way[0])
+        loaded = beside.move(residual=force)
+        rows, columns = np.array(list(slopes)).T
         turn, ahead = np.zeros((ortho.shape[1], k, k)), np.zeros((k, k))
         turn[:, rows, columns] = turn[:, columns, rows] = (gram[1:] @ ortho).T
-        ahead[rows, columns] = ahead[columns, rows] = [b.dot(slopes.loaded) for b in slopes.by_rest]
-        half, matrix = 0.5 * gram[0, 0], np.diag(place.values - place.margin) / cut
-        model = Model(matrix, turn / cut, gram[0] @ ortho, max(share * half, LEAST))
-        rise = (way[0] * ahead - way[1] * np.eye(k)) / cut
+        ahead[rows, columns] = ahead[columns, rows] = [slope.dot(loaded) for slope in slopes.values()]
+        half, matrix = 0.5 * place.s.dot(gradients[0].s), np.diag(place.values - place.margin) / cut
+        model = Model(matrix, turn / cut, gram[0] @ ortho, max(SHARES[end] * half, LEAST[end]))
+        rise = (ahead - way[1] * np.eye(k)) / cut
         merit = half + model.value(np.zeros(ortho.shape[1]))
-        return Local(model, cut, rise, merit, half, basis, ortho, slopes.loaded, way)
+        return Local(model, cut, rise, merit, half, basis, ortho, loaded, way)
 
     def _propose(self, local: Local, place: Place, step: float, damping: float) -> Trial:
         """The minimiser of the model a step ahead."""
@@ -206,11 +180,10 @@ class Nearest:
         c = model.minimise(damping)
         if c is None:
             return Trial(None, math.inf, math.nan)
-        move = self.problem.create_vector()
-        for weight, b in zip(local.ortho @ c, local.basis, strict=True):
+        move = Move(self.problem.create_vector(), self.problem.create_vector())
+        for weight, b in zip([*(local.ortho @ c), step], [*local.basis, local.loaded], strict=True):
             move.axpy(weight, b)
-        there = self.beside.follow(place, move, step * local.way[0], local.loaded)
-        there.margin += step * local.way[1]
+        there = place.beside(move, step * local.way[0], step * local.way[1])
         lowest = float(np.linalg.eigvalsh(model.at(c))[0])
         return Trial(there, local.half + model.value(c), lowest)
 
@@ -223,24 +196,9 @@ class Nearest:
         above = (place.values - place.margin) / local.cut
         if moving:
             return float(above[0]) / trial.lowest
-        s = self._movable(place.s)
-        merit = 0.5 * s.dot(self._weigh(s)) + local.model.mu * float(barrier(above)[0].sum())
+        half = 0.5 * place.s.dot(self.beside.weigh(place.s))
+        merit = half + local.model.mu * float(barrier(above)[0].sum())
         return (local.merit - merit) / (local.merit - trial.merit)
-
-    def _movable(self, s: PETSc.Vec) -> PETSc.Vec:
-        out = s.copy()
-        out.array[~self.free] = 0.0
-        return out
-
-    def _lifted(self, slope: PETSc.Vec) -> PETSc.Vec:
-        out = slope.duplicate()
-        self.lift.apply(self._movable(slope), out)
-        return out
-
-    def _weigh(self, s: PETSc.Vec) -> PETSc.Vec:
-        out = s.duplicate()
-        self.metric.mult(s, out)
-        return out
 
     def _entering(self, place: Place) -> np.ndarray:
         """(n,) the local vertices that a place has inside an obstacle."""
@@ -250,6 +208,13 @@ class Nearest:
         for body, floor in zip(self.target.obstacles, self.floor, strict=True):
             inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
         return inside & self.target.movable
+
+    def outcome(self, place: Place) -> NearestPath:
+        """A place as result."""
+        state = self.beside.go_to(place)
+        lowest, mode = float(place.values[0]), place.modes[0].copy()
+        mode.scale(1.0 / mode.norm(PETSc.NormType.INFINITY))
+        return NearestPath(place.z.copy(), state, sag(self.target, state), lowest, mode, list(self.steps))
 
     def _note(self, place: Place) -> None:
         moved = sag(self.target, self.beside.direct.state(place.z))
@@ -268,19 +233,30 @@ def _orthonormal(gram: np.ndarray) -> np.ndarray:
 
 
 def approach(
-    target: Target, path: DirectPath, margin: float, on_step: Progress | None = None
+    target: Target,
+    path: DirectPath,
+    margin: float,
+    stays: Callable[[PETSc.Vec, float], bool],
+    on_step: Progress | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
-    of `margin` times the weight's rate g/L; None where that is not reached. The problem is left there."""
+    of `margin` times the weight's rate g/L, or of up to FIRMER times that where stays(rest shape, sag) says that a
+    simulation from the target does not end there; None where the full load is not reached."""
     search = Nearest(Direct(target), on_step)
+    beside = search.beside
     place = Place(target.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
-    reached = search.beside.settle(place)
+    reached = beside.linearise(place) and beside.settle(place)
     for fraction in (place.fraction, 1.0):  # the way is easier away from the loss of stability
         if reached:
-            place, reached = search.advance(place, fraction, margin * search.beside.slow)
+            place, reached = search.advance(place, fraction, margin * beside.slow)
     if not reached:
         return None
-    state = search.beside.go_to(place)
-    return NearestPath(
-        place.z, state, sag(target, state), float(place.values[0]), place.modes[0], search.steps
-    )
+    nearest = found = search.outcome(place)
+    for factor in FIRMER:
+        if stays(found.rest, found.sag):
+            return found
+        place, reached = search.advance(place, 1.0, factor * margin * beside.slow)
+        if not reached:
+            break
+        found = search.outcome(place)
+    return found if reached and stays(found.rest, found.sag) else nearest

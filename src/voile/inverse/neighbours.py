@@ -1,9 +1,11 @@
 """Equilibria beside a target: shapes displaced from it, their rest shapes, softest modes, and how these change.
 
-The shape's displacement s is free; its rest shape z(s) follows by the direct method. With dR/dz dz = -K ds the
-stiffness projected on modes v changes by
+A neighbour has a displacement s of the shape and a rest shape z with R(s, z) = 0. Neither follows from the other where
+dR/dz or K = dR/ds is singular; together they always do: moves on the manifold of equilibria solve
 
-    d(v_i^T K v_j)/ds = g_s - K (dR/dz)^-T g_z,   g = d(v_i^T R_y v_j), by central differences along v_i.
+    min |ds|^2_A / 2 + EPS |dz|^2_B / 2 - (a, ds) - (b, dz)   with   K ds + (dR/dz) dz = r,
+
+one factorisation for all at a place. A and B are metrics of displacements and of their gradients over a short length.
 """
 
 import math
@@ -14,12 +16,34 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from voile.inverse.direct import Direct
+from voile.problem.rest import rest_areas
 from voile.problem.scales import slow_rate
-from voile.solver.newton import use_cholesky
+from voile.solver.newton import add_mass, factorisation_error, use_cholesky
 
 CUT = 30.0  # slow rates above the margin under which modes are known
 MODES = 12  # at most
 ALONG = 1e-4  # sizes of the shell: differences along modes
+REACH = 0.05  # sizes of the shell, over which gradients count
+EPS = 1e-2  # weight of the rest shape's moves beside the shape's
+RESTORATIONS = 15  # moves
+WORST = 100.0  # growth of the residual in one of them
+WORK_SPACE = 100  # per cent, of MUMPS beyond its estimate: pivoting wants it
+TOLERANCE = 1e-10  # residual over the loads' norm
+
+
+@dataclass
+class Move:
+    """A displacement of the shape and a change of the rest shape, on the problem's unknowns; or a gradient by both."""
+
+    s: PETSc.Vec
+    z: PETSc.Vec
+
+    def dot(self, other: "Move") -> float:
+        return self.s.dot(other.s) + self.z.dot(other.z)
+
+    def axpy(self, factor: float, other: "Move") -> None:
+        self.s.axpy(factor, other.s)
+        self.z.axpy(factor, other.z)
 
 
 @dataclass
@@ -34,44 +58,155 @@ class Place:
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     modes: list[PETSc.Vec] = field(default_factory=list)
 
-
-@dataclass
-class Slopes:
-    """At a place: pairs (i, j) of modes, the derivatives of v_i^T K v_j by the shape, the rest shape following, and by
-    the rest shape alone, and the rest shape's derivative by the fraction of the load."""
-
-    pairs: list[tuple[int, int]]
-    by_shape: list[PETSc.Vec]
-    by_rest: list[PETSc.Vec]
-    loaded: PETSc.Vec
+    def beside(self, move: Move, load: float, margin: float) -> "Place":
+        """Another place, not yet in equilibrium."""
+        return Place(self.s + move.s, self.z + move.z, self.fraction + load, self.margin + margin)
 
 
 class Neighbours:
-    """Equilibria beside a target, for which `direct` finds rest shapes."""
+    """Equilibria beside a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct):
+    def __init__(self, direct: Direct, held: np.ndarray):
+        """held: (n,) local vertices that stay where they are in the target."""
         self.direct, self.target, self.problem = direct, direct.target, direct.problem
-        self.target.rest.set(self.problem.create_vector())
-        self.mass = self.problem.mass()  # of all places: that of the target itself
-        self.masses = PETSc.Mat().createAIJ(self.target.tangent.getSizes(), nnz=1, comm=self.problem.comm)
+        target, problem = self.target, self.problem
+        target.rest.set(problem.create_vector())
+        self.mass = problem.mass()  # of all places: that of the target itself
+        self.masses = PETSc.Mat().createAIJ(target.tangent.getSizes(), nnz=1, comm=problem.comm)
         self.masses.setUp()
         self.masses.setDiagonal(self.mass)
         self.masses.assemble()
-        self.slow = slow_rate(self.problem)
+        self.slow = slow_rate(problem)
         self.cut = CUT * self.slow
+        self.free = target.rest.is_vertex.copy()
+        self.rest_metric = self._create_metric(EPS)
+        self.factor = PETSc.PC().create(comm=problem.comm)
+        self.factor.setOptionsPrefix("nearest_")  # statics' own switch pivoting off
+        use_cholesky(self.factor)
+        options = PETSc.Options("nearest_")
+        if not options.hasName("mat_mumps_icntl_14"):
+            options.setValue("mat_mumps_icntl_14", WORK_SPACE)
+        self.factor.setFromOptions()
+        self.hold(held)
+
+    def hold(self, vertex: np.ndarray) -> None:
+        """Keeps local vertices (n,) where they are from now on."""
+        field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
+        self.free &= self.target.field_vector(field).array_r == 0.0
+        self.metric = self._create_metric(1.0)
+        self.movable = self.problem.create_vector()
+        self.movable.array[:] = self.free
+
+    def _create_metric(self, weight: float) -> PETSc.Mat:
+        """weight (M + (REACH L)^2 G) / (M L^2) on `free`, M the mass, G the integral of mass times gradients, L the
+        size; a like diagonal elsewhere."""
+        problem, part = self.problem, self.problem.part
+        area, gradient = rest_areas(part)
+        slope = gradient / area[:, None, None]
+        local = np.einsum("tai,tbi,t->tab", slope, slope, area * part.fabric[0] * part.fabric[3])
+        blocks = np.zeros((len(area), 21, 21))
+        for axis in range(3):
+            blocks[:, axis:9:3, axis:9:3] = local
+        matrix = problem.create_matrix()
+        problem.assemble(matrix, blocks * (REACH * problem.size()) ** 2, ())
+        add_mass(matrix, self.mass, 1.0)
+        matrix.scale(3.0 * weight / (self.mass.sum() * problem.size() ** 2))
+        idle = np.flatnonzero(~self.free) + part.first_global
+        matrix.zeroRowsColumns(
+            idle.astype(np.int32), 3.0 * weight / (self.mass.getSize() * problem.size() ** 2)
+        )
+        return matrix
+
+    def weigh(self, s: PETSc.Vec) -> PETSc.Vec:
+        """The gradient of |s|^2_A / 2 on what may move."""
+        out, free = s.duplicate(), s.copy()
+        free.array[~self.free] = 0.0
+        self.metric.mult(free, out)
+        return out
+
+    # ---- equilibria ----
+
+    def go_to(self, place: Place) -> PETSc.Vec:
+        """The problem at a place; its state."""
+        place.s.copy(self.direct.moved)
+        self.target.load(place.fraction)
+        self.target.rest.set(place.z)
+        self.target.hold(place.z)
+        return self.direct.state(place.z)
+
+    def linearise(self, place: Place) -> bool:
+        """Takes the manifold's tangent at a place for `move`; False where it cannot be factored."""
+        y = self.go_to(place)
+        self.direct.linearise(y)
+        across = self.target.stiffness(y).copy()
+        across.diagonalScale(None, self.movable)
+        back, aside = across.copy(), self.direct.matrix.copy()
+        back.transpose()
+        aside.transpose()
+        nest = PETSc.Mat().createNest(
+            [[self.metric, None, back], [None, self.rest_metric, aside], [across, self.direct.matrix, None]],
+            comm=self.problem.comm,
+        )
+        system = nest.convert(PETSc.Mat.Type.AIJ)
+        system.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.factor.setOperators(system)
+        self.factor.setUp()
+        for matrix in (nest, system, across, back, aside):
+            matrix.destroy()  # now, rather than when Python cleans up
+        return not factorisation_error(self.factor)
+
+    def move(self, gradient: Move | None = None, residual: PETSc.Vec | None = None) -> Move:
+        """The move of the module's minimum, with (a, b) the gradient and r the residual (N)."""
+        vector = self.problem.create_vector()
+        parts = [gradient.s, gradient.z] if gradient else [vector, vector]
+        n = len(vector.array_r)
+        right = PETSc.Vec().createMPI((3 * n, PETSc.DECIDE), comm=self.problem.comm)
+        out = right.duplicate()
+        right.array[:] = np.concatenate([p.array_r for p in [*parts, residual or vector]])
+        right.array[:n][~self.free] = 0.0
+        self.factor.apply(right, out)
+        found = Move(vector.duplicate(), vector.duplicate())
+        found.s.array[:], found.z.array[:] = out.array_r[:n], out.array_r[n : 2 * n]
+        found.s.array[~self.free] = 0.0
+        return found
 
     def settle(self, place: Place) -> bool:
-        """Balances a place's shape from its z on and finds its modes; whether it is stable, with the margin."""
-        place.s.copy(self.direct.moved)
-        reason, _, _ = self.direct.solve(place.z, place.fraction)
-        if reason or self.direct.negative(place.z):
+        """Brings a place near the one linearised to equilibrium, at its shape or else with the least move, and finds
+        its modes; whether it is stable, with the margin."""
+        y, z = self.go_to(place), place.z.copy()
+        if not self.direct.solve(z, place.fraction)[0]:
+            place.z = z
+        elif not self._restore(place):
             return False
-        self._find_modes(place)
-        return bool(place.values[0] > place.margin)
+        y = self.go_to(place)
+        return self._find_modes(place, y)
 
-    def _find_modes(self, place: Place) -> None:
-        """Eigenvalues less than a cut above the margin, and at least one."""
-        matrix = self.target.stiffness(self.direct.state(place.z))
+    def _restore(self, place: Place) -> bool:
+        """Equilibrium by moves, with a new factorisation where the last one has left more than a half."""
+        f, norm = self.problem.create_vector(), math.inf
+        for _ in range(RESTORATIONS):
+            y = self.go_to(place)
+            if self.direct.invalid():
+                return False
+            self.target.residual(y, f)
+            before, norm = norm, f.norm()
+            if norm <= max(TOLERANCE * self.target.load_norm(y), self.direct.floor()):
+                return True
+            if not norm < WORST * before or (norm > 0.5 * before and not self.linearise(place)):
+                return False
+            f.scale(-1.0)
+            step = self.move(residual=f)
+            place.s.axpy(1.0, step.s)
+            place.z.axpy(1.0, step.z)
+        return False
+
+    # ---- modes ----
+
+    def _find_modes(self, place: Place, y: PETSc.Vec) -> bool:
+        """Eigenvalues less than a cut above the margin, and at least one; whether all are above it."""
+        if self.direct.negative(place.z):
+            return False
+        matrix = self.target.stiffness(y)
         eps = SLEPc.EPS().create(comm=matrix.comm)
         eps.setOperators(matrix, self.masses)
         eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
@@ -93,70 +228,46 @@ class Neighbours:
             mode.scale(1.0 / math.sqrt(mode.dot(weighed)))
             found.append((value, mode))
         eps.destroy()
+        if not found:
+            return False
         found.sort(key=lambda pair: pair[0])
         if len(found) == MODES:
             self.cut = min(self.cut, max(found[-1][0] - place.margin, self.slow))
         kept = [pair for k, pair in enumerate(found) if not k or pair[0] < place.margin + self.cut]
         place.values, place.modes = np.array([value for value, _ in kept]), [mode for _, mode in kept]
+        return bool(place.values[0] > place.margin)
 
-    def slopes(self, place: Place) -> Slopes:
-        """Derivatives at a settled place; the direct method's factor is that of the place from then on."""
-        direct, modes = self.direct, place.modes
-        y = self.go_to(place)
-        pairs = [(i, j) for i in range(len(modes)) for j in range(i, len(modes))]
-        by_shape = [self.problem.create_vector() for _ in pairs]
-        by_rest = [self.problem.create_vector() for _ in pairs]
+    def slopes(self, place: Place) -> dict[tuple[int, int], Move]:
+        """Gradients of v_i^T K v_j, i <= j, by shape and rest shape: (v_i^T R_y v_j) by central differences along
+        v_i."""
+        modes, y = place.modes, self.go_to(place)
+        zero = y.duplicate()
+        zero.set(0.0)
+        slopes = {
+            (i, j): Move(zero.copy(), zero.copy()) for i in range(len(modes)) for j in range(i, len(modes))
+        }
         there, out = y.duplicate(), y.duplicate()
         for i, mode in enumerate(modes):
             step = ALONG * self.problem.size() / mode.norm(PETSc.NormType.INFINITY)
             for side in (step, -step):
                 there.waxpy(side, mode, y)
+                self.direct.linearise(there)
                 stiffness = self.target.stiffness(there)
-                direct.linearise(there)
-                for row in (row for row, pair in enumerate(pairs) if pair[0] == i):
-                    stiffness.mult(modes[pairs[row][1]], out)
-                    by_shape[row].axpy(0.5 / side, out)
-                    direct.matrix.multTranspose(modes[pairs[row][1]], out)
-                    by_rest[row].axpy(0.5 / side, out)
-        self.factor(place)
-        stiffness, held = self.target.stiffness(y), y.duplicate()
-        for a, b in zip(by_shape, by_rest, strict=True):
-            direct.lu.applyTranspose(b, held)
-            stiffness.mult(held, out)
-            a.axpy(-1.0, out)
-            a.array[~self.target.rest.is_vertex] = 0.0
-        return Slopes(pairs, by_shape, by_rest, self._by_load(place, y))
+                for j in range(i, len(modes)):
+                    stiffness.mult(modes[j], out)
+                    slopes[i, j].s.axpy(0.5 / side, out)
+                    self.direct.matrix.multTranspose(modes[j], out)
+                    slopes[i, j].z.axpy(0.5 / side, out)
+        for slope in slopes.values():
+            slope.s.array[~self.free] = 0.0
+        return slopes
 
-    def _by_load(self, place: Place, y: PETSc.Vec) -> PETSc.Vec:
-        """Derivative of z by the fraction of the load at a fixed shape."""
-        less, more, out = y.duplicate(), y.duplicate(), y.duplicate()
-        for side, f in ((-0.5, less), (0.5, more)):  # loads are linear in it
+    def load_slope(self, place: Place) -> PETSc.Vec:
+        """The residual's derivative by the fraction of the load (N), in which it is linear."""
+        y = self.go_to(place)
+        less, more = y.duplicate(), y.duplicate()
+        for side, f in ((-0.5, less), (0.5, more)):
             self.target.load(place.fraction + side)
             self.target.residual(y, f)
         self.target.load(place.fraction)
-        self.direct.lu.apply(less - more, out)
-        return out
-
-    def go_to(self, place: Place) -> PETSc.Vec:
-        """The problem at a place; its state."""
-        place.s.copy(self.direct.moved)
-        self.target.load(place.fraction)
-        self.target.rest.set(place.z)
-        self.target.hold(place.z)
-        return self.direct.state(place.z)
-
-    def factor(self, place: Place) -> None:
-        """Makes the direct method's factor, and the target's tangent, those of a place."""
-        y = self.go_to(place)
-        self.direct.linearise(y)
-        self.direct.lu.setOperators(self.direct.matrix)
-        self.direct.lu.setUp()
-        self.target.stiffness(y)
-
-    def follow(self, place: Place, move: PETSc.Vec, load: float, loaded: PETSc.Vec) -> Place:
-        """The place beside one with `factor` that a displacement and a step of the load lead to, z extrapolated."""
-        push, dz = move.duplicate(), move.duplicate()
-        self.target.tangent.mult(move, push)
-        self.direct.lu.apply(push, dz)
-        dz.axpby(load, -1.0, loaded)
-        return Place(place.s + move, place.z + dz, place.fraction + load, place.margin)
+        return more - less

@@ -134,7 +134,13 @@ def solve_inverse(
     path = _direct(target, on_step, None if away is None else target.field_vector(away))
     adjoint = nearest = None
     if not path.converged and options.method == "adjoint":
-        nearest = approach(target, path, options.margin, on_nearest)
+        nearest = approach(
+            target,
+            path,
+            options.margin,
+            lambda rest, sag: simulate(target, rest, options.tolerance).sag <= NEAR * sag,
+            on_nearest,
+        )
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         try:

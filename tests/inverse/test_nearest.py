@@ -1,0 +1,143 @@
+"""The nearest stable shape: barrier and model, derivatives by Taylor tests, soft shells, ranks."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inverse_shells import folded_skirt
+from mpi4py import MPI
+from scipy.optimize import minimize
+from test_adjoint import wave
+from test_direct import rod
+
+from voile.inverse.direct import Direct
+from voile.inverse.neighbours import Neighbours, Place
+from voile.inverse.solve import InverseOptions, solve_inverse
+from voile.inverse.spectral import Model, barrier
+from voile.inverse.target import Target
+from voile.problem.discrete import Problem
+from voile.solver.path import StaticsOptions
+from voile.solver.statics import solve_statics
+
+
+def test_the_barrier_has_its_derivatives_and_a_smooth_end():
+    t, h = np.array([0.01, 0.3, 0.9, 1.5]), 1e-6
+    _, first, second = barrier(t)
+    np.testing.assert_allclose((barrier(t + h)[0] - barrier(t - h)[0]) / (2 * h), first, rtol=1e-5)
+    np.testing.assert_allclose((barrier(t + h)[1] - barrier(t - h)[1]) / (2 * h), second, rtol=1e-5)
+    assert np.isinf(barrier(np.array([0.5, 0.0]))[0]).all()
+    assert all(abs(values[0]) < 1e-8 for values in barrier(np.array([1.0 - 1e-9])))
+
+
+@pytest.mark.parametrize("lowest", [0.1, -0.3])
+def test_the_model_is_minimised_from_inside_and_outside(lowest):
+    random = np.random.default_rng(2)
+    slopes = random.standard_normal((5, 4, 4))
+    matrix = np.diag([lowest, 0.1, 0.3, 0.8])
+    model = Model(matrix, slopes + slopes.transpose(0, 2, 1), 0.1 * random.standard_normal(5), 0.05)
+    c = model.minimise(0.5)
+    assert c is not None and np.linalg.eigvalsh(model.at(c))[0] > 0.0
+    found = minimize(lambda c: model.value(c, 0.5), c + 1e-4, method="Nelder-Mead", options={"xatol": 1e-10})
+    assert model.value(c, 0.5) <= found.fun + 1e-12
+
+
+def test_a_model_that_no_move_makes_stable_has_no_minimum():
+    assert Model(np.diag([-1.0, 1.0]), np.zeros((3, 2, 2)), np.zeros(3), 1.0).minimise(0.0) is None
+
+
+def neighbours(kind):
+    """A place beside a stable target, linearised, and a direction on the manifold of equilibria."""
+    shape = folded_skirt(24, 4, young=1e8, bending="average" if kind == "contact" else kind)
+    bodies = []
+    if kind == "contact":  # the waist hangs on a rod by friction
+        shape, bodies = replace(shape, fixed=np.zeros_like(shape.fixed)), [rod(0.9, 0.1495)]
+    target = Target(Problem(shape, MPI.COMM_SELF), shape, bodies, 0.5e-3, 1e-3)
+    path = Direct(target).follow()
+    assert path.converged
+    held = np.zeros(len(target.x), dtype=bool)
+    held[target.cones.vertex] = True
+    beside = Neighbours(Direct(target), held)
+    beside.cut = np.inf  # as many modes as it takes
+    place = Place(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
+    assert beside.linearise(place) and beside.settle(place)
+    gradient = beside.move()
+    gradient.s.axpy(1.0, beside.weigh(wave(target, 0.3, 2e-5)))
+    return beside, place, beside.move(gradient=gradient)
+
+
+@pytest.mark.parametrize("kind", ["average", "tan", "contact"])
+def test_moves_and_slopes_are_those_of_the_equilibria(kind):
+    beside, place, move = neighbours(kind)
+    assert len(place.modes) > 1
+    slopes, modes = beside.slopes(place), place.modes
+    beside.linearise(place)
+
+    def projected(h):
+        there = place.beside(move, 0.0, 0.0)
+        there.s.axpy(h - 1.0, move.s)
+        there.z.axpy(h - 1.0, move.z)
+        y = beside.go_to(there)
+        f = y.duplicate()
+        beside.target.residual(y, f)
+        assert beside._restore(there)
+        k, out = beside.target.stiffness(beside.go_to(there)), y.duplicate()
+        values = np.zeros((len(modes), len(modes)))
+        for i, j in slopes:
+            k.mult(modes[j], out)
+            values[i, j] = modes[i].dot(out)
+        return f.norm(), values
+
+    linear = np.zeros((len(modes), len(modes)))
+    for (i, j), slope in slopes.items():
+        linear[i, j] = slope.dot(move)
+    rest, here = projected(0.0)
+    left, residuals = [], []
+    for h in (1.0, 0.5):
+        residual, there = projected(h)
+        residuals.append(residual - rest)
+        left.append(np.abs(there - here - h * linear).max())
+    assert np.abs(linear).max() > 20.0 * left[1]
+    np.testing.assert_allclose(np.log2(left[0] / left[1]), 2.0, atol=0.3)
+    np.testing.assert_allclose(np.log2(residuals[0] / residuals[1]), 2.0, atol=0.3)
+
+
+def test_a_soft_skirt_ends_near_its_target_and_stays_there():
+    shape = folded_skirt(24, 4, young=1e7)
+    problem = Problem(shape, MPI.COMM_SELF)
+    result = solve_inverse(problem, shape, [], 0.0, InverseOptions())
+    assert result.direct.critical is not None and result.adjoint is None
+    nearest = result.nearest
+    assert nearest is not None and nearest.steps[-1].fraction == 1.0
+    assert nearest.sag < 3e-3
+    target = result.target
+    target.rest.set(nearest.rest)
+    path = solve_statics(problem, StaticsOptions(load_steps=1, eigenvalue=True), start=nearest.state)
+    assert path.converged and path.stable
+    assert problem.largest_motion(path.state - nearest.state) < 1e-8 * problem.size()
+    assert path.smallest_eigenvalue > 0.9 * nearest.steps[-1].margin
+    tao = solve_inverse(problem, shape, [], 0.0, InverseOptions(method="tao"))
+    assert tao.nearest is None and tao.adjoint is not None
+    assert nearest.sag < 0.3 * tao.adjoint.steps[-1].sag
+
+
+@pytest.mark.slow
+def test_a_skirt_whose_direct_branch_turns_back_ends_near_its_target():
+    """dR/dX turns singular at 0.22 of the load, while the target is stable."""
+    shape = folded_skirt(young=3e6)
+    result = solve_inverse(Problem(shape, MPI.COMM_SELF), shape, [], 0.0, InverseOptions())
+    assert result.direct.critical is None and result.direct.fraction < 0.3
+    assert result.nearest is not None and result.nearest.sag < 6e-3
+    assert result.stable
+
+
+@pytest.mark.slow
+def test_ranks_find_the_same_nearest_shape(mpirun):
+    figures = []
+    for ranks in (1, 2):
+        done = mpirun(ranks, [sys.executable, str(Path(__file__).parent / "nearest.py")], 200)
+        assert done.returncode == 0, done.stderr
+        figures.append([float(word) for word in done.stdout.split()])
+    np.testing.assert_allclose(figures[1], figures[0], rtol=1e-4)
+    assert all(figures[0])
