@@ -27,7 +27,8 @@ from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 
-FIRMER = 2.0, 4.0
+FIRMER = 2.0, 4.0  # margins tried in turn where a simulation leaves the answer
+WEIGHTS = 1e-2, 1e-6  # tried in turn, of the rest shape's moves: the first passes folds, the second goes far
 MARGIN = 16.0  # over g/L: what withstands a disturbance by the thickness on garments tried
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
@@ -96,14 +97,14 @@ Progress = Callable[[NearestStep], None]
 class Nearest:
     """Path of nearest stable shapes of a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, on_step: Progress | None = None):
+    def __init__(self, direct: Direct, weight: float, on_step: Progress | None = None):
         self.target, self.problem = direct.target, direct.problem
         self.on_step, self.steps = on_step, list[NearestStep]()
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
         held = np.zeros(len(target.x), dtype=bool)
         held[target.cones.vertex] = True
-        self.beside = Neighbours(direct, held)
+        self.beside = Neighbours(direct, held, weight)
 
     # ---- the path ----
 
@@ -209,6 +210,28 @@ class Nearest:
             inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
         return inside & self.target.movable
 
+    def reach(self, path: DirectPath, margin: float) -> tuple[Place, bool]:
+        """`advance` from where the direct method stopped to the full load."""
+        place = Place(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
+        reached = self.beside.linearise(place) and self.beside.settle(place)
+        for fraction in (place.fraction, 1.0):  # the way is easier away from the loss of stability
+            if reached:
+                place, reached = self.advance(place, fraction, margin)
+        return place, reached
+
+    def confirm(self, place: Place, margin: float, stays: Callable[[PETSc.Vec, float], bool]) -> NearestPath:
+        """The nearest of this place and firmer ones that stays; this one where none does."""
+        nearest = self.outcome(place)
+        found, reached = nearest, True
+        for factor in FIRMER:
+            if stays(found.rest, found.sag):
+                return found
+            place, reached = self.advance(place, 1.0, factor * margin)
+            if not reached:
+                return nearest
+            found = self.outcome(place)
+        return found if stays(found.rest, found.sag) else nearest
+
     def outcome(self, place: Place) -> NearestPath:
         """A place as result."""
         state = self.beside.go_to(place)
@@ -242,21 +265,9 @@ def approach(
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or of up to FIRMER times that where stays(rest shape, sag) says that a
     simulation from the target does not end there; None where the full load is not reached."""
-    search = Nearest(Direct(target), on_step)
-    beside = search.beside
-    place = Place(target.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
-    reached = beside.linearise(place) and beside.settle(place)
-    for fraction in (place.fraction, 1.0):  # the way is easier away from the loss of stability
+    for weight in WEIGHTS:
+        search = Nearest(Direct(target), weight, on_step)
+        place, reached = search.reach(path, margin * search.beside.slow)
         if reached:
-            place, reached = search.advance(place, fraction, margin * beside.slow)
-    if not reached:
-        return None
-    nearest = found = search.outcome(place)
-    for factor in FIRMER:
-        if stays(found.rest, found.sag):
-            return found
-        place, reached = search.advance(place, 1.0, factor * margin * beside.slow)
-        if not reached:
-            break
-        found = search.outcome(place)
-    return found if reached and stays(found.rest, found.sag) else nearest
+            return search.confirm(place, margin * search.beside.slow, stays)
+    return None

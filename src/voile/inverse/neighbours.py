@@ -3,7 +3,7 @@
 A neighbour has a displacement s of the shape and a rest shape z with R(s, z) = 0. Neither follows from the other where
 dR/dz or K = dR/ds is singular; together they always do: moves on the manifold of equilibria solve
 
-    min |ds|^2_A / 2 + EPS |dz|^2_B / 2 - (a, ds) - (b, dz)   with   K ds + (dR/dz) dz = r,
+    min |ds|^2_A / 2 + weight |dz|^2_B / 2 - (a, ds) - (b, dz)   with   K ds + (dR/dz) dz = r,
 
 one factorisation for all at a place. A and B are metrics of displacements and of their gradients over a short length.
 """
@@ -24,7 +24,6 @@ CUT = 30.0  # slow rates above the margin under which modes are known
 MODES = 12  # at most
 ALONG = 1e-4  # sizes of the shell: differences along modes
 REACH = 0.05  # sizes of the shell, over which gradients count
-EPS = 1e-2  # weight of the rest shape's moves beside the shape's
 RESTORATIONS = 15  # moves
 WORST = 100.0  # growth of the residual in one of them
 WORK_SPACE = 100  # per cent, of MUMPS beyond its estimate: pivoting wants it
@@ -66,8 +65,9 @@ class Place:
 class Neighbours:
     """Equilibria beside a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, held: np.ndarray):
-        """held: (n,) local vertices that stay where they are in the target."""
+    def __init__(self, direct: Direct, held: np.ndarray, weight: float = 1e-2):
+        """held: (n,) local vertices that stay where they are in the target; weight: of the rest shape's moves beside
+        the shape's."""
         self.direct, self.target, self.problem = direct, direct.target, direct.problem
         target, problem = self.target, self.problem
         target.rest.set(problem.create_vector())
@@ -79,7 +79,7 @@ class Neighbours:
         self.slow = slow_rate(problem)
         self.cut = CUT * self.slow
         self.free = target.rest.is_vertex.copy()
-        self.rest_metric = self._create_metric(EPS)
+        self.rest_metric = self._create_metric(weight)
         self.factor = PETSc.PC().create(comm=problem.comm)
         self.factor.setOptionsPrefix("nearest_")  # statics' own switch pivoting off
         use_cholesky(self.factor)
@@ -136,6 +136,7 @@ class Neighbours:
 
     def linearise(self, place: Place) -> bool:
         """Takes the manifold's tangent at a place for `move`; False where it cannot be factored."""
+        PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         y = self.go_to(place)
         self.direct.linearise(y)
         across = self.target.stiffness(y).copy()

@@ -83,6 +83,10 @@ class InverseResult:
 
     @property
     def reason(self) -> str:
+        settles = "" if self.disturbed.path.converged else "; the simulation from beside it did not settle"
+        return self._finding() + settles
+
+    def _finding(self) -> str:
         if not self.simulation.path.converged:
             return self.simulation.path.reason
         if self.panels or self.trade:
