@@ -10,7 +10,7 @@ from inverse_shells import folded_skirt
 from mpi4py import MPI
 from scipy.optimize import minimize
 from test_adjoint import wave
-from test_direct import rod
+from test_direct import heavy_strip, rod, solve
 
 from voile.inverse.direct import Direct
 from voile.inverse.neighbours import Neighbours, Place
@@ -120,6 +120,19 @@ def test_a_soft_skirt_ends_near_its_target_and_stays_there():
     tao = solve_inverse(problem, shape, [], 0.0, InverseOptions(method="tao"))
     assert tao.nearest is None and tao.adjoint is not None
     assert nearest.sag < 0.3 * tao.adjoint.steps[-1].sag
+
+
+def test_a_column_that_cannot_stand_leans_as_little_as_it_can():
+    """The least margin at which simulations from the target end there."""
+    shape, _ = heavy_strip(9.0, upwards=True, cells=20)
+    result = solve(shape)
+    assert result.nearest is not None and result.converged
+    assert result.simulation.sag == pytest.approx(result.nearest.sag, rel=1e-6)
+    assert result.disturbed.sag == pytest.approx(result.nearest.sag, rel=1e-6)
+    assert result.nearest.sag < 2e-3
+    wide = solve(shape, margin=16.0)
+    assert wide.nearest is not None and wide.nearest.sag > 4.0 * result.nearest.sag
+    assert wide.eigenvalue > 10.0 * result.eigenvalue
 
 
 @pytest.mark.slow

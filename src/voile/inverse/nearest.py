@@ -27,9 +27,9 @@ from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 
-FIRMER = 2.0, 4.0  # margins tried in turn where a simulation leaves the answer
+LESS, MORE = 6 * (0.5,), 2 * (2.0,)  # margins tried in turn, over the one before
 WEIGHTS = 1e-2, 1e-6  # tried in turn, of the rest shape's moves: the first passes folds, the second goes far
-MARGIN = 16.0  # over g/L: what withstands a disturbance by the thickness on garments tried
+MARGIN = 16.0  # over g/L, of the way
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
@@ -92,6 +92,7 @@ class Trial:
 
 
 Progress = Callable[[NearestStep], None]
+Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
 
 
 class Nearest:
@@ -219,18 +220,19 @@ class Nearest:
                 place, reached = self.advance(place, fraction, margin)
         return place, reached
 
-    def confirm(self, place: Place, margin: float, stays: Callable[[PETSc.Vec, float], bool]) -> NearestPath:
-        """The nearest of this place and firmer ones that stays; this one where none does."""
-        nearest = self.outcome(place)
-        found, reached = nearest, True
-        for factor in FIRMER:
-            if stays(found.rest, found.sag):
-                return found
-            place, reached = self.advance(place, 1.0, factor * margin)
+    def confirm(self, place: Place, stays: Stays) -> NearestPath:
+        """The place of least margin, half by half, that stays, or the first firmer one; this one where none does."""
+        first = found = self.outcome(place)
+        factors, firm = (LESS, True) if stays(found.rest, found.sag) else (MORE, False)
+        for factor in factors:
+            place, reached = self.advance(place, 1.0, factor * place.margin)
             if not reached:
-                return nearest
-            found = self.outcome(place)
-        return found if stays(found.rest, found.sag) else nearest
+                break
+            trial = self.outcome(place)
+            if stays(trial.rest, trial.sag) != firm:
+                return found if firm else trial
+            found = trial
+        return found if firm else first
 
     def outcome(self, place: Place) -> NearestPath:
         """A place as result."""
@@ -256,18 +258,14 @@ def _orthonormal(gram: np.ndarray) -> np.ndarray:
 
 
 def approach(
-    target: Target,
-    path: DirectPath,
-    margin: float,
-    stays: Callable[[PETSc.Vec, float], bool],
-    on_step: Progress | None = None,
+    target: Target, path: DirectPath, margin: float, stays: Stays, on_step: Progress | None = None
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
-    of `margin` times the weight's rate g/L, or of up to FIRMER times that where stays(rest shape, sag) says that a
-    simulation from the target does not end there; None where the full load is not reached."""
+    of `margin` times the weight's rate g/L; margin 0: the least of MARGIN and its multiples at which stays(rest shape,
+    sag) says that simulations from the target end there. None where the full load is not reached."""
     for weight in WEIGHTS:
         search = Nearest(Direct(target), weight, on_step)
-        place, reached = search.reach(path, margin * search.beside.slow)
+        place, reached = search.reach(path, (margin or MARGIN) * search.beside.slow)
         if reached:
-            return search.confirm(place, margin * search.beside.slow, stays)
+            return search.outcome(place) if margin else search.confirm(place, stays)
     return None

@@ -14,7 +14,7 @@ from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.direct import Direct, DirectPath, DirectStep
-from voile.inverse.nearest import MARGIN, NearestPath, approach
+from voile.inverse.nearest import NearestPath, approach
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.target import HOLDS, Target
 from voile.inverse.verify import Simulation, simulate
@@ -32,15 +32,15 @@ class InverseOptions:
     """friction: reactions in Coulomb's cones, else along the normal; contact_tolerance (m): target vertices nearer
     than this to an obstacle may carry a reaction; tolerance: residual of simulations over the loads' norm; method:
     "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
-    (smallest eigenvalue over g/L), or, where there is no way to it and with "tao", by TAO with the weight
-    `regularisation` of the rest shape's change, for `iterations` at most; developable: the rest shape has no angle
-    defect inside."""
+    (smallest eigenvalue over g/L; 0: the least at which simulations from the target end), or, where there is no way to
+    it and with "tao", by TAO with the weight `regularisation` of the rest shape's change, for `iterations` at most;
+    developable: the rest shape has no angle defect inside."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
     tolerance: float = 1e-8
     method: str = "adjoint"
-    margin: float = MARGIN
+    margin: float = 0.0
     regularisation: float = 1e-3
     iterations: int = 20
     developable: bool = False
@@ -137,14 +137,13 @@ def solve_inverse(
     away = None if guess is None else guess[problem.part.vertex] - target.x
     path = _direct(target, on_step, None if away is None else target.field_vector(away))
     adjoint = nearest = None
+
+    def stays(rest: PETSc.Vec, sag: float) -> bool:
+        runs = (simulate(target, rest, options.tolerance, disturbed=d) for d in (False, True))
+        return all(run.stable and run.sag <= NEAR * sag for run in runs)
+
     if not path.converged and options.method == "adjoint":
-        nearest = approach(
-            target,
-            path,
-            options.margin,
-            lambda rest, sag: simulate(target, rest, options.tolerance).sag <= NEAR * sag,
-            on_nearest,
-        )
+        nearest = approach(target, path, options.margin, stays, on_nearest)
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         try:

@@ -262,10 +262,10 @@ class Inverse:
         default="adjoint",
     )
     margin: float = key(
-        Number(above=0),
-        "adjoint: smallest eigenvalue asked for of that shape, over the weight's rate g/L; more is further from the "
-        "target and withstands more",
-        default=16.0,
+        Number(least=0),
+        "adjoint: smallest eigenvalue asked for of that shape, over the weight's rate g/L (more is further from the "
+        "target and withstands more); 0: the least, half by half, at which simulations from the target end",
+        default=0.0,
     )
     contact_tolerance: float = key(
         Number("m", above=0),
