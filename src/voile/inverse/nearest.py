@@ -27,16 +27,16 @@ from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 
-LESS, MORE = 6 * (0.5,), 2 * (2.0,)  # margins tried in turn, over the one before
-WEIGHTS = 1e-2, 1e-6  # tried in turn, of the rest shape's moves: the first passes folds, the second goes far
-MARGIN = 16.0  # over g/L, of the way
+LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
+# Tried in turn: weight of the rest shape's moves (1e-2 passes folds, 1e-6 goes far), margin over g/L.
+WAYS = (1e-2, 16.0), (1e-2, 4.0), (1e-6, 16.0)
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
 STIFFEST = 1e8  # damping
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
 SETTLED = 0.02  # of the merit that a step could still win
-STEPS = 300
+STEPS = 200
 INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
 
 
@@ -261,11 +261,11 @@ def approach(
     target: Target, path: DirectPath, margin: float, stays: Stays, on_step: Progress | None = None
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
-    of `margin` times the weight's rate g/L; margin 0: the least of MARGIN and its multiples at which stays(rest shape,
-    sag) says that simulations from the target end there. None where the full load is not reached."""
-    for weight in WEIGHTS:
+    of `margin` times the weight's rate g/L; margin 0: the least, doubled or halved from that of the way, at which
+    stays(rest shape, sag) says that simulations from the target end there. None where the full load is not reached."""
+    for weight, first in WAYS:
         search = Nearest(Direct(target), weight, on_step)
-        place, reached = search.reach(path, (margin or MARGIN) * search.beside.slow)
+        place, reached = search.reach(path, (margin or first) * search.beside.slow)
         if reached:
             return search.outcome(place) if margin else search.confirm(place, stays)
     return None

@@ -181,9 +181,11 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
         )
         path = result.simulation.path
         if result.nearest:
-            writer.write_step(
-                0.5, scalars={"residual": 0.0, "converged": 1.0}, **rows(problem, result.nearest.state)
-            )
+            at_nearest = rows(problem, result.nearest.state)
+            at_nearest |= {
+                name: at_target[name] for name in ("point_data", "placements") if name in at_target
+            }
+            writer.write_step(0.5, scalars={"residual": 0.0, "converged": 1.0}, **at_nearest)
         with target.obstructed():
             simulated = rows(problem, path.state)
         scalars = {"residual": 0.0, "converged": float(path.converged)}
