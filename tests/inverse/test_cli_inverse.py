@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from inverse_shells import grid
+from inverse_shells import folded_skirt, grid
 from test_direct import tube
 from test_panels import cone_skirt
 
@@ -96,6 +96,32 @@ def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
     assert done.returncode == 0, done.stderr
     with read_result(on_a_rod / "again") as again:
         assert np.abs(again.points(-1) - target).max() < 2e-3  # it closes the gap of half a millimetre
+
+
+def test_a_soft_skirt_on_a_rod_ends_in_the_nearest_stable_shape(tmp_path):
+    """Friction included: a simulation from that shape stays there. One from the target falls elsewhere, and says so."""
+    shape = folded_skirt(24, 4)
+    write_obj(tmp_path / "target.obj", shape.points, shape.triangles)
+    held = ROD.format(friction=0.9).replace("0.0995", "0.1495")
+    scene(tmp_path, held, bending="average", young=2e7)
+    code, said = run(tmp_path)
+    assert code == 0, said
+    found = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
+    assert found["nearest"]["sag"] < 1e-3 and found["nearest"]["moved"] < 1e-10
+    assert found["sag"] > 2.0 * found["nearest"]["sag"] and "a simulation from the target leaves it" in said
+    with read_result(tmp_path / "out") as result:
+        assert list(result.values) == [0.0, 0.5, 1.0]
+        area = 0.5 * np.linalg.norm(
+            np.cross(*np.diff(result.rest[result.rest_triangles], axis=1).swapaxes(0, 1)), axis=1
+        )
+        weight = 9.81 * 300.0 * 1e-3 * area.sum()
+        for step in (1, 2):
+            reaction = result.field("reaction", step).sum(axis=0)
+            np.testing.assert_allclose(reaction, [0.0, 0.0, weight], atol=1e-7 * weight)
+        moved = np.linalg.norm(result.points(1) - result.points(0), axis=1).max()
+        assert moved == pytest.approx(
+            found["nearest"]["sag"] * np.linalg.norm(np.ptp(result.start, axis=0)), rel=1e-6
+        )
 
 
 def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun):

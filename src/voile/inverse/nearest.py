@@ -27,16 +27,18 @@ from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 
-LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
 # Tried in turn: weight of the rest shape's moves (1e-2 passes folds, 1e-6 goes far), margin over g/L.
-WAYS = (1e-2, 16.0), (1e-2, 4.0), (1e-6, 16.0)
+WAYS = (1e-2, 1.0), (1e-2, 16.0), (1e-6, 16.0)
+LEAST_MARGIN = 1.0  # over g/L, of a way
+LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
+FINE = 1e-4  # sag over the size from which less margin is not tried
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
 STIFFEST = 1e8  # damping
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
-SETTLED = 0.02  # of the merit that a step could still win
-STEPS = 200
+SETTLED = 0.3, 0.02  # of the merit that a step could still win: on the way; where that fails, and at its end
+STEPS, EXTRA = 300, 100  # of the way to the full load; from one margin to the next
 INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
 
 
@@ -54,13 +56,14 @@ class NearestStep:
 @dataclass
 class NearestPath:
     """The outcome: rest displacements with director angles, the equilibrium found with its sag (over the size), its
-    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), and the steps."""
+    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), the margin (over g/L), and the steps."""
 
     rest: PETSc.Vec
     state: PETSc.Vec
     sag: float
     eigenvalue: float
     mode: PETSc.Vec
+    margin: float
     steps: list[NearestStep]
 
 
@@ -100,7 +103,7 @@ class Nearest:
 
     def __init__(self, direct: Direct, weight: float, on_step: Progress | None = None):
         self.target, self.problem = direct.target, direct.problem
-        self.on_step, self.steps = on_step, list[NearestStep]()
+        self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
         held = np.zeros(len(target.x), dtype=bool)
@@ -112,16 +115,17 @@ class Nearest:
     def advance(self, place: Place, fraction: float, margin: float) -> tuple[Place, bool]:
         """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
         there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
-        those win little."""
+        those win little: the less, where the next step of the way fails (`fine`)."""
         way = fraction - place.fraction, margin - place.margin
-        left, share, damping, moving = 1.0, FIRST, 0.0, True
-        for _ in range(STEPS):
+        left, share, damping, moving, fine = 1.0, FIRST, 0.0, True, False
+        while self.budget:
+            self.budget -= 1
             end = not left
             local = self._model(place, way, end)
             while local:
                 step = min(share, left) if moving else 0.0
                 trial = self._propose(local, place, step, damping)
-                if not moving and local.merit - trial.merit <= SETTLED * local.merit:
+                if not moving and local.merit - trial.merit <= SETTLED[end or fine] * local.merit:
                     if end:
                         return place, True
                     moving = True
@@ -134,6 +138,9 @@ class Nearest:
                 quality = self._quality(trial, local, moving)
                 if quality > POOR:
                     break
+                if moving and not fine:
+                    moving, fine = False, True
+                    continue
                 damping = max(4.0 * damping, 0.1)
                 share *= 0.5 if moving else 1.0
                 if share < SHORTEST or damping > STIFFEST:
@@ -142,6 +149,7 @@ class Nearest:
                 return place, False  # nothing can be factored here
             if moving:
                 share *= 2.0 if quality > GOOD else 1.0
+                fine = False
             elif quality > GOOD:
                 damping = 0.25 * damping if damping > 0.05 else 0.0
             elif quality < FAIR:
@@ -212,12 +220,16 @@ class Nearest:
         return inside & self.target.movable
 
     def reach(self, path: DirectPath, margin: float) -> tuple[Place, bool]:
-        """`advance` from where the direct method stopped to the full load."""
+        """`advance` from where the direct method stopped to the full load, with less margin where the way ends."""
         place = Place(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
-        reached = self.beside.linearise(place) and self.beside.settle(place)
-        for fraction in (place.fraction, 1.0):  # the way is easier away from the loss of stability
-            if reached:
-                place, reached = self.advance(place, fraction, margin)
+        if not (self.beside.linearise(place) and self.beside.settle(place)):
+            return place, False
+        # the way is easier away from the loss of stability
+        place, _ = self.advance(place, place.fraction, margin)
+        place, reached = self.advance(place, 1.0, place.margin)
+        while self.budget and not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow:
+            place.margin *= 0.5
+            place, reached = self.advance(place, 1.0, place.margin)
         return place, reached
 
     def confirm(self, place: Place, stays: Stays) -> NearestPath:
@@ -225,6 +237,9 @@ class Nearest:
         first = found = self.outcome(place)
         factors, firm = (LESS, True) if stays(found.rest, found.sag) else (MORE, False)
         for factor in factors:
+            if firm and found.sag <= FINE:
+                break
+            self.budget = EXTRA
             place, reached = self.advance(place, 1.0, factor * place.margin)
             if not reached:
                 break
@@ -239,7 +254,10 @@ class Nearest:
         state = self.beside.go_to(place)
         lowest, mode = float(place.values[0]), place.modes[0].copy()
         mode.scale(1.0 / mode.norm(PETSc.NormType.INFINITY))
-        return NearestPath(place.z.copy(), state, sag(self.target, state), lowest, mode, list(self.steps))
+        margin = place.margin / self.beside.slow
+        return NearestPath(
+            place.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps)
+        )
 
     def _note(self, place: Place) -> None:
         moved = sag(self.target, self.beside.direct.state(place.z))
@@ -261,9 +279,11 @@ def approach(
     target: Target, path: DirectPath, margin: float, stays: Stays, on_step: Progress | None = None
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
-    of `margin` times the weight's rate g/L; margin 0: the least, doubled or halved from that of the way, at which
-    stays(rest shape, sag) says that simulations from the target end there. None where the full load is not reached."""
-    for weight, first in WAYS:
+    of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
+    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. None where
+    the full load is not reached."""
+    turned_back = path.critical is None  # far from a loss of stability: less margin first
+    for weight, first in WAYS if turned_back else WAYS[1:]:
         search = Nearest(Direct(target), weight, on_step)
         place, reached = search.reach(path, (margin or first) * search.beside.slow)
         if reached:

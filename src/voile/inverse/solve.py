@@ -24,6 +24,7 @@ from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
 NEAR = 2.0  # sags of the nearest answer: a simulation that stays there
+STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
 
@@ -52,8 +53,8 @@ class InverseResult:
 
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
     the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`;
-    simulation and disturbed: statics from the target and from beside it; seconds: of the search (`inverse`) and of
-    certificate and simulations (`proof`).
+    simulation and disturbed: statics from the target and from beside it, `held` from the nearest answer; seconds: of
+    the search (`inverse`) and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -69,6 +70,7 @@ class InverseResult:
     panels: PanelRest | None = None
     trade: list[dict[str, float]] | None = None
     nearest: NearestPath | None = None
+    held: Simulation | None = None
     guess: np.ndarray | None = None
 
     @property
@@ -79,7 +81,12 @@ class InverseResult:
     def converged(self) -> bool:
         """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
         found = self.direct.converged or self.nearest is not None or self.adjoint is not None
-        return found and self.stable and self.simulation.stable
+        return found and self.stable and self.simulation.stable and not self._drifts
+
+    @property
+    def _drifts(self) -> bool:
+        """Whether the nearest answer is none to the simulation, friction and contact included."""
+        return self.held is not None and not (self.held.stable and self.held.sag <= STILL)
 
     @property
     def reason(self) -> str:
@@ -101,8 +108,9 @@ class InverseResult:
             )
         if self.nearest:
             stays = self.simulation.sag <= NEAR * self.nearest.sag
-            found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}"
+            found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
             where = "" if stays else "; a simulation from the target leaves it"
+            where = "; a simulation from it leaves it" if self._drifts else where
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
             return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
@@ -161,6 +169,7 @@ def solve_inverse(
     searched = time.perf_counter()
     simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, options.tolerance, disturbed=True)
+    held = simulate(target, z, options.tolerance, start=nearest.state) if nearest else None
     if nearest:
         eigenvalue, mode = nearest.eigenvalue, nearest.mode
     elif adjoint:
@@ -172,7 +181,7 @@ def solve_inverse(
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
-        nearest=nearest, guess=away,
+        nearest=nearest, held=held, guess=away,
     )  # fmt: skip
 
 
@@ -270,7 +279,7 @@ def solve_panels(
 
 def inverse_report(result: InverseResult) -> dict:
     """Figures for the summary: see the keys."""
-    target, direct, adjoint, nearest = result.target, result.direct, result.adjoint, result.nearest
+    target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
     low, high = (result.panels or target.rest).area_ratios()
     rest = problem.motion(result.rest)
@@ -285,7 +294,7 @@ def inverse_report(result: InverseResult) -> dict:
         "stable": result.stable,
         "smallest_eigenvalue": result.eigenvalue,
         "direct_iterations": direct.iterations,
-        "nearest": {"sag": nearest.sag, "steps": len(nearest.steps)} if nearest else None,
+        "nearest": _nearest(result),
         "adjoint_iterations": len(adjoint.steps) - 1 if adjoint else 0,
         "forward_solves": (adjoint.forward_solves if adjoint else 0) + 2,
         "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,
@@ -299,6 +308,13 @@ def inverse_report(result: InverseResult) -> dict:
             else {}
         ),
     }
+
+
+def _nearest(result: InverseResult) -> dict | None:
+    nearest, held = result.nearest, result.held
+    if not (nearest and held):
+        return None
+    return {"sag": nearest.sag, "margin": nearest.margin, "steps": len(nearest.steps), "moved": held.sag}
 
 
 def _reactions(target: Target) -> dict:

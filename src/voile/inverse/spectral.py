@@ -47,7 +47,9 @@ class Model:
         value = self.value(c, damping)
         for _ in range(STEPS):
             gradient, hessian = self._derivatives(c, damping)
-            step = -np.linalg.solve(hessian, gradient)
+            step = -np.linalg.lstsq(hessian, gradient, rcond=None)[
+                0
+            ]  # close to the barrier numerically singular
             slope = float(gradient @ step)
             if -slope <= DECREASE * abs(value):
                 break

@@ -6,6 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.contact.state import Contact
 from voile.inverse.target import Target
 from voile.problem.rest import PanelRest
 from voile.solver.path import Path, StaticsOptions
@@ -17,10 +18,12 @@ NEARER = 0.1  # of its way to where contact may begin, that a vertex is disturbe
 
 @dataclass
 class Simulation:
-    """A simulation with the rest shape found. sag: largest displacement from the target over its size."""
+    """A simulation with the rest shape found. sag: largest displacement from the target, or from where it was told to
+    start, over the target's size; contact: the obstacles' at its end."""
 
     path: Path
     sag: float
+    contact: Contact | None
 
     @property
     def eigenvalue(self) -> float:
@@ -43,26 +46,29 @@ def simulate(
     panels: PanelRest | None = None,
     disturbed: bool = False,
     eigenvalue: bool = False,
+    start: PETSc.Vec | None = None,
 ) -> Simulation:
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
-    starting at the target or, disturbed, a thickness off it away from contacts. tolerance: residual over the loads'
-    norm."""
+    starting at the target, disturbed a thickness off it away from contacts, or at the unknowns `start`. tolerance:
+    residual over the loads' norm."""
     problem = target.problem
     (panels or target.rest).set(z)
     with target.obstructed():
-        start = problem.create_vector() if panels else target.rest.state(z)
+        first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
         if disturbed:
-            start.axpy(1.0, _disturbance(target))
+            first.axpy(1.0, _disturbance(target))
         options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
-        path = solve_statics(problem, options, start=start)
+        path = solve_statics(problem, options, start=first)
         problem.unbase(path.state)
-    return Simulation(path, sag(target, path.state))
+        contact = problem.contact
+    return Simulation(path, sag(target, path.state, start), contact)
 
 
-def sag(target: Target, y: PETSc.Vec) -> float:
-    """Largest displacement of y from the target over the target's size."""
+def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:
+    """Largest displacement of y from the target, or from `start`, over the target's size."""
     problem = target.problem
-    moved = np.linalg.norm(problem.positions(y) - target.x, axis=1)
+    origin = problem.positions(start) if start else target.x
+    moved = np.linalg.norm(problem.positions(y) - origin, axis=1)
     return problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX) / problem.size()
 
 

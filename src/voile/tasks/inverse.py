@@ -1,5 +1,6 @@
 """task = inverse: rest shapes, flat panels."""
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -123,6 +124,15 @@ def _standing(flat) -> np.ndarray | None:
     return vertex
 
 
+def _at_end(problem, simulation) -> dict:
+    """As `rows`, of a simulation's end."""
+    problem.contact = simulation.contact
+    try:
+        return rows(problem, simulation.path.state)
+    finally:
+        problem.contact = None
+
+
 def _kept(values: dict, keep: np.ndarray | None) -> dict:
     """A step's rows for the surface's own vertices; panels have no director angles to store."""
     if keep is None:
@@ -179,15 +189,10 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
         writer.write_step(
             0.0, scalars={"residual": result.residual, "converged": 1.0}, **_kept(at_target, keep)
         )
-        path = result.simulation.path
-        if result.nearest:
-            at_nearest = rows(problem, result.nearest.state)
-            at_nearest |= {
-                name: at_target[name] for name in ("point_data", "placements") if name in at_target
-            }
-            writer.write_step(0.5, scalars={"residual": 0.0, "converged": 1.0}, **at_nearest)
-        with target.obstructed():
-            simulated = rows(problem, path.state)
-        scalars = {"residual": 0.0, "converged": float(path.converged)}
-        writer.write_step(1.0, scalars=scalars, **_kept(simulated, keep))
+        for step, simulation in ((0.5, result.held), (1.0, result.simulation)):
+            if simulation:
+                path = simulation.path
+                residual = path.steps[-1].residual if path.steps else math.nan
+                scalars = {"residual": residual, "converged": float(path.converged)}
+                writer.write_step(step, scalars=scalars, **_kept(_at_end(problem, simulation), keep))
     return figures
