@@ -72,15 +72,32 @@ def build_model(scene: Scene) -> Model:
     offset = scene.contact.offset
     if offset is None:
         offset = 0.5 * float(shell.thickness.max())
+    notes = list(surface.notes)
     if bodies:
         size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
         deepest = DEEPEST * size
         if scene.scene.task == "inverse":
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
+            notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
     else:
         check_supports(shell)
-    return Model(shell, surface, rest, list(surface.notes), bodies, offset)
+    return Model(shell, surface, rest, notes, bodies, offset)
+
+
+def _sunk(bodies: list[Obstacle], shell: Shell, offset: float, tolerance: float) -> list[str]:
+    """What a user should know of a target that is further inside an obstacle than contact_tolerance (m)."""
+    notes = []
+    for obstacle in bodies:
+        gap = obstacle.gap(shell.points, 0.0) - offset
+        worst = int(np.argmin(gap))
+        if gap[worst] < -tolerance:
+            count = int((gap < -tolerance).sum())
+            notes.append(
+                f"the target is up to {-gap[worst]:.4g} m inside {obstacle.name} (vertex {worst}), {count} vertices "
+                f"more than inverse.contact_tolerance = {tolerance:g} m: it is taken to touch there as it is"
+            )
+    return notes
 
 
 def _seams(surface: Surface) -> dict[str, np.ndarray]:

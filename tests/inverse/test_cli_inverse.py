@@ -145,6 +145,16 @@ def test_a_target_deep_inside_its_obstacle_is_refused(on_a_rod):
     assert code == 2 and "m deep inside" in said and "vertex" in said
 
 
+def test_a_target_that_sinks_a_little_is_solved_and_told_of(on_a_rod):
+    scene(on_a_rod, ROD.format(friction=0.5).replace("0.0995", "0.1012"))
+    code, said = run(on_a_rod)
+    assert code == 0, said
+    summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
+    (note,) = [note for note in summary["notes"] if "inside cylinder 0" in note]
+    assert "the target is up to 0.0017 m" in note and "vertex" in note
+    assert summary["inverse"]["sag"] < 1e-8
+
+
 def test_estimating_with_an_unknown_rest_shape_is_refused(on_a_rod):
     scene(on_a_rod, "[[fix]]\nselect = { all = true }", inverse='estimate = ["young"]')
     code, said = run(on_a_rod)
