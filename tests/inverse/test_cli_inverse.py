@@ -216,3 +216,4 @@ def test_a_developable_rest_shape_flattens_exactly(tmp_path):
     assert "developable rest shape with a stable equilibrium" in said
     assert found["pattern"]["distortion"] < 1e-6
     assert [step["share"] for step in found["developability"]] == [0.0, 0.5, 0.8, 0.9, 0.95, 1.0]
+    assert (tmp_path / "out" / "developability.png").read_bytes()[:4] == b"\x89PNG"

@@ -157,6 +157,10 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
     mesh: StaticMesh | None = None
     figures: dict | None = None
     if comm.rank == 0:
+        if result.trade:
+            from voile.post.trade import draw_trade
+
+            draw_trade(folder / "developability.png", result.trade)
         s, name = model.surface, f"rest shape of {scene.scene.name or scene.path}"
         up: np.ndarray | None = -shell.gravity if shell.gravity.any() else None
         allowance = scene.inverse.seam_allowance
