@@ -59,7 +59,6 @@ class Target:
     ):
         self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
         self.rest = RestShape(problem)
-        self._young = problem.part.fabric[1].copy()
         self.tangent = problem.create_matrix()
         comm = problem.comm
         modes = comm.bcast(free_motions(shell) if shell is not None else None)
@@ -218,12 +217,6 @@ class Target:
     def load(self, fraction: float) -> None:
         """Sets the fraction of all loads."""
         self.problem.load_factor = fraction
-
-    def stiffen(self, factor: float) -> None:
-        """Young's modulus times a factor (from the true one): with the full load, what 1/factor of it does."""
-        fabric = self.problem.part.fabric
-        fabric[1] = factor * self._young
-        self.problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
 
     def load_norm(self, y: PETSc.Vec) -> float:
         """Norm of the full loads on the unknowns (N)."""
