@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mesh_helpers import GENERATORS, areas, generator, loops_of, normals
 
+from voile.contact.field import mesh_body
 from voile.mesh import (
     build_topology,
     read_mesh,
@@ -170,3 +171,41 @@ def test_a_fitted_skirt_keeps_its_clearance_from_the_form(tmp_path):
     gap = np.sqrt(igl.point_mesh_squared_distance(points, form, faces)[0])
     assert (igl.winding_number(form, faces, points) < 0.5).all()
     assert 0.86 * 0.004 < gap.min() < 1.02 * 0.004  # the form slopes by up to 30 degrees against its section
+
+
+@pytest.mark.parametrize("garment", ["fitted_skirt", "bell_skirt"])
+def test_a_fitted_body_keeps_its_clearance_from_the_garment(tmp_path, garment):
+    """Closed, near the cloth where it is worn tight, away from it below, and smooth enough for its distance field."""
+    module = generator(garment)
+    write_obj(tmp_path / "cloth.obj", *getattr(module, garment)(size=0.04)[:2])
+    cloth = read_mesh(tmp_path / "cloth.obj")
+    clearance, radius, below, slope, size = 0.002, 0.04, 0.08, 0.3, 0.015
+    write_obj(
+        tmp_path / "body.obj",
+        *generator("fitted_body").fitted_body(
+            str(tmp_path / "cloth.obj"), 1.0, clearance, radius, below, slope, size
+        ),
+    )
+    body = read_mesh(tmp_path / "body.obj")
+    topology = build_topology(body.triangles)
+    assert body.notes == () and (topology.across >= 0).all()
+    assert len(body.points) - len(topology.edges) + len(body.triangles) == 2
+    gap = np.sqrt(igl.point_mesh_squared_distance(cloth.points, body.points, body.triangles)[0])
+    assert (igl.winding_number(body.points, body.triangles, cloth.points) < 0.5).all()  # outward, too
+    chord = size**2 / (
+        4 * radius
+    )  # of the two surfaces found on the grid, a ball's curvature in two directions
+    depth = cloth.points[:, 1].max() - cloth.points[:, 1]
+    tight = depth < below / 2
+    assert clearance - chord < gap.min() and gap[tight].max() < clearance + 2 * chord
+    assert (gap > clearance + slope * np.maximum(depth - below - radius, 0) - chord).all()
+    field = mesh_body(body.points, body.triangles, resolution=0.012)
+    assert field.gap(cloth.points, 0.0).min() > 0 and field.error() < clearance
+
+
+def test_a_fitted_body_needs_room(tmp_path):
+    write_obj(tmp_path / "cloth.obj", *generator("fitted_skirt").fitted_skirt(size=0.05))
+    with pytest.raises(
+        ValueError, match="no ball fits inside the garment, allowed: less radius or clearance"
+    ):
+        generator("fitted_body").fitted_body(str(tmp_path / "cloth.obj"), radius=0.3, size=0.03)
