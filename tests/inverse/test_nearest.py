@@ -62,9 +62,9 @@ def neighbours(kind):
     beside.cut = np.inf  # as many modes as it takes
     place = Place(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
     assert beside.linearise(place) and beside.settle(place)
-    gradient = beside.move()
+    gradient = beside.still()
     gradient.s.axpy(1.0, beside.weigh(wave(target, 0.3, 2e-5)))
-    return beside, place, beside.move(gradient=gradient)
+    return beside, place, beside.moves([gradient])[0]
 
 
 @pytest.mark.parametrize("kind", ["average", "tan", "contact"])
@@ -152,5 +152,5 @@ def test_ranks_find_the_same_nearest_shape(mpirun):
         done = mpirun(ranks, [sys.executable, str(Path(__file__).parent / "nearest.py")], 200)
         assert done.returncode == 0, done.stderr
         figures.append([float(word) for word in done.stdout.split()])
-    np.testing.assert_allclose(figures[1], figures[0], rtol=1e-4)
+    np.testing.assert_allclose(figures[1], figures[0], rtol=1e-3)
     assert all(figures[0])

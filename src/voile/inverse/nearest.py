@@ -27,17 +27,16 @@ from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 
-# Tried in turn: weight of the rest shape's moves (1e-2 passes folds, 1e-6 goes far), margin over g/L.
-WAYS = (1e-2, 1.0), (1e-2, 16.0), (1e-6, 16.0)
-LEAST_MARGIN = 1.0  # over g/L, of a way
+MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
-FINE = 1e-4  # sag over the size from which less margin is not tried
+SLIGHT = 1e-4  # sag over the size from which less margin is not tried
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
 STIFFEST = 1e8  # damping
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
-SETTLED = 0.3, 0.02  # of the merit that a step could still win: on the way; where that fails, and at its end
+SETTLED, FINE = 0.3, 0.02  # of the merit that a step could still win: on the way, and where that fails
+EXACT = 1e-3  # and in the answer
 STEPS, EXTRA = 300, 100  # of the way to the full load; from one margin to the next
 INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
 
@@ -101,31 +100,38 @@ Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its
 class Nearest:
     """Path of nearest stable shapes of a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, weight: float, on_step: Progress | None = None):
+    def __init__(self, direct: Direct, on_step: Progress | None = None):
         self.target, self.problem = direct.target, direct.problem
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
         held = np.zeros(len(target.x), dtype=bool)
         held[target.cones.vertex] = True
-        self.beside = Neighbours(direct, held, weight)
+        self.beside = Neighbours(direct, held)
 
     # ---- the path ----
 
-    def advance(self, place: Place, fraction: float, margin: float) -> tuple[Place, bool]:
+    def advance(
+        self, place: Place, fraction: float, margin: float, exact: float = EXACT
+    ) -> tuple[Place, bool]:
         """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
         there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
-        those win little: the less, where the next step of the way fails (`fine`)."""
+        those win little; less, where the next step of the way fails, and no more than a share `exact` at its end, where
+        there are so many steps left."""
         way = fraction - place.fraction, margin - place.margin
-        left, share, damping, moving, fine = 1.0, FIRST, 0.0, True, False
+        left, share, damping, moving, enough, mu = 1.0, FIRST, 0.0, True, SETTLED, math.inf
         while self.budget:
             self.budget -= 1
             end = not left
-            local = self._model(place, way, end)
+            enough = exact if end else enough
+            local = self._model(place, way, end, mu)
+            mu = (
+                local.model.mu if local and end else math.inf
+            )  # falls, or the steps at the end would not settle
             while local:
                 step = min(share, left) if moving else 0.0
                 trial = self._propose(local, place, step, damping)
-                if not moving and local.merit - trial.merit <= SETTLED[end or fine] * local.merit:
+                if not moving and local.merit - trial.merit <= enough * local.merit:
                     if end:
                         return place, True
                     moving = True
@@ -133,13 +139,13 @@ class Nearest:
                 inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
                 if not self.problem.everywhere(not inside.any()):
                     self.beside.hold(inside)
-                    local = self._model(place, way, end)
+                    local = self._model(place, way, end, mu)
                     continue
                 quality = self._quality(trial, local, moving)
                 if quality > POOR:
                     break
-                if moving and not fine:
-                    moving, fine = False, True
+                if moving and enough > FINE:
+                    moving, enough = False, FINE
                     continue
                 damping = max(4.0 * damping, 0.1)
                 share *= 0.5 if moving else 1.0
@@ -149,9 +155,9 @@ class Nearest:
                 return place, False  # nothing can be factored here
             if moving:
                 share *= 2.0 if quality > GOOD else 1.0
-                fine = False
+                enough = SETTLED
             elif quality > GOOD:
-                damping = 0.25 * damping if damping > 0.05 else 0.0
+                damping = 0.5 * damping if damping > 0.05 else 0.0
             elif quality < FAIR:
                 damping = max(2.0 * damping, 0.1)
             assert trial.place is not None  # of that quality
@@ -159,27 +165,28 @@ class Nearest:
             if not left:
                 place.fraction, place.margin = fraction, margin  # without round-off
             self._note(place)
-        return place, False
+        return place, not left
 
-    def _model(self, place: Place, way: tuple[float, float], end: bool) -> Local | None:
-        """Linearises at a place; way: of the fraction and the margin, for a step of 1."""
+    def _model(self, place: Place, way: tuple[float, float], end: bool, most: float) -> Local | None:
+        """Linearises at a place; way: of the fraction and the margin, for a step of 1; most: of mu."""
         beside, k = self.beside, len(place.values)
         if not beside.linearise(place):
             return None
         slopes, cut = beside.slopes(place), beside.cut
         gradients = [Move(beside.weigh(place.s), self.problem.create_vector()), *slopes.values()]
-        basis = [beside.move(g) for g in gradients]
+        basis = beside.moves(gradients)
         gram = np.array([[g.dot(b) for b in basis] for g in gradients])
         ortho = _orthonormal(0.5 * (gram + gram.T))
         force = beside.load_slope(place)
         force.scale(-way[0])
-        loaded = beside.move(residual=force)
+        (loaded,) = beside.moves([beside.still()], residual=force)
         rows, columns = np.array(list(slopes)).T
         turn, ahead = np.zeros((ortho.shape[1], k, k)), np.zeros((k, k))
         turn[:, rows, columns] = turn[:, columns, rows] = (gram[1:] @ ortho).T
         ahead[rows, columns] = ahead[columns, rows] = [slope.dot(loaded) for slope in slopes.values()]
         half, matrix = 0.5 * place.s.dot(gradients[0].s), np.diag(place.values - place.margin) / cut
-        model = Model(matrix, turn / cut, gram[0] @ ortho, max(SHARES[end] * half, LEAST[end]))
+        mu = min(max(SHARES[end] * half, LEAST[end]), most)
+        model = Model(matrix, turn / cut, gram[0] @ ortho, mu)
         rise = (ahead - way[1] * np.eye(k)) / cut
         merit = half + model.value(np.zeros(ortho.shape[1]))
         return Local(model, cut, rise, merit, half, basis, ortho, loaded, way)
@@ -190,7 +197,7 @@ class Nearest:
         c = model.minimise(damping)
         if c is None:
             return Trial(None, math.inf, math.nan)
-        move = Move(self.problem.create_vector(), self.problem.create_vector())
+        move = self.beside.still()
         for weight, b in zip([*(local.ortho @ c), step], [*local.basis, local.loaded], strict=True):
             move.axpy(weight, b)
         there = place.beside(move, step * local.way[0], step * local.way[1])
@@ -225,7 +232,7 @@ class Nearest:
         if not (self.beside.linearise(place) and self.beside.settle(place)):
             return place, False
         # the way is easier away from the loss of stability
-        place, _ = self.advance(place, place.fraction, margin)
+        place, _ = self.advance(place, place.fraction, margin, FINE)
         place, reached = self.advance(place, 1.0, place.margin)
         while self.budget and not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow:
             place.margin *= 0.5
@@ -237,7 +244,7 @@ class Nearest:
         first = found = self.outcome(place)
         factors, firm = (LESS, True) if stays(found.rest, found.sag) else (MORE, False)
         for factor in factors:
-            if firm and found.sag <= FINE:
+            if firm and found.sag <= SLIGHT:
                 break
             self.budget = EXTRA
             place, reached = self.advance(place, 1.0, factor * place.margin)
@@ -283,9 +290,11 @@ def approach(
     from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. None where
     the full load is not reached."""
     turned_back = path.critical is None  # far from a loss of stability: less margin first
-    for weight, first in WAYS if turned_back else WAYS[1:]:
-        search = Nearest(Direct(target), weight, on_step)
-        place, reached = search.reach(path, (margin or first) * search.beside.slow)
+    for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
+        search = Nearest(Direct(target), on_step)
+        place, reached = search.reach(path, first * search.beside.slow)
+        if reached and not margin:
+            return search.confirm(place, stays)
         if reached:
-            return search.outcome(place) if margin else search.confirm(place, stays)
+            return search.outcome(search.advance(place, 1.0, margin * search.beside.slow)[0])
     return None

@@ -22,6 +22,7 @@ from voile.solver.newton import add_mass, factorisation_error, use_cholesky
 
 CUT = 30.0  # slow rates above the margin under which modes are known
 MODES = 12  # at most
+WEIGHT = 1e-2  # of the rest shape's moves beside the shape's
 ALONG = 1e-4  # sizes of the shell: differences along modes
 REACH = 0.05  # sizes of the shell, over which gradients count
 RESTORATIONS = 15  # moves
@@ -65,9 +66,8 @@ class Place:
 class Neighbours:
     """Equilibria beside a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, held: np.ndarray, weight: float = 1e-2):
-        """held: (n,) local vertices that stay where they are in the target; weight: of the rest shape's moves beside
-        the shape's."""
+    def __init__(self, direct: Direct, held: np.ndarray):
+        """held: (n,) local vertices that stay where they are in the target."""
         self.direct, self.target, self.problem = direct, direct.target, direct.problem
         target, problem = self.target, self.problem
         target.rest.set(problem.create_vector())
@@ -79,7 +79,7 @@ class Neighbours:
         self.slow = slow_rate(problem)
         self.cut = CUT * self.slow
         self.free = target.rest.is_vertex.copy()
-        self.rest_metric = self._create_metric(weight)
+        self.rest_metric = self._create_metric(WEIGHT)
         self.factor = PETSc.PC().create(comm=problem.comm)
         self.factor.setOptionsPrefix("nearest_")  # statics' own switch pivoting off
         use_cholesky(self.factor)
@@ -135,7 +135,7 @@ class Neighbours:
         return self.direct.state(place.z)
 
     def linearise(self, place: Place) -> bool:
-        """Takes the manifold's tangent at a place for `move`; False where it cannot be factored."""
+        """Takes the manifold's tangent at a place for `moves`; False where it cannot be factored."""
         PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         y = self.go_to(place)
         self.direct.linearise(y)
@@ -156,20 +156,39 @@ class Neighbours:
             matrix.destroy()  # now, rather than when Python cleans up
         return not factorisation_error(self.factor)
 
-    def move(self, gradient: Move | None = None, residual: PETSc.Vec | None = None) -> Move:
-        """The move of the module's minimum, with (a, b) the gradient and r the residual (N)."""
-        vector = self.problem.create_vector()
-        parts = [gradient.s, gradient.z] if gradient else [vector, vector]
-        n = len(vector.array_r)
-        right = PETSc.Vec().createMPI((3 * n, PETSc.DECIDE), comm=self.problem.comm)
-        out = right.duplicate()
-        right.array[:] = np.concatenate([p.array_r for p in [*parts, residual or vector]])
-        right.array[:n][~self.free] = 0.0
-        self.factor.apply(right, out)
-        found = Move(vector.duplicate(), vector.duplicate())
-        found.s.array[:], found.z.array[:] = out.array_r[:n], out.array_r[n : 2 * n]
-        found.s.array[~self.free] = 0.0
+    def moves(self, gradients: list[Move], residual: PETSc.Vec | None = None) -> list[Move]:
+        """The moves of the module's minimum with (a, b) each of the gradients and r the residual (N)."""
+        n, last = len(self.free), 0.0 if residual is None else residual.array_r[:, None]
+        right = np.zeros((3 * n, len(gradients)))
+        right[:n] = np.where(self.free[:, None], np.stack([g.s.array_r for g in gradients], axis=1), 0.0)
+        right[n : 2 * n] = np.stack([g.z.array_r for g in gradients], axis=1)
+        right[2 * n :] = last
+        found = []
+        for column in self._solve(right).T:
+            move = self.still()
+            move.s.array[:] = np.where(self.free, column[:n], 0.0)
+            move.z.array[:] = column[n : 2 * n]
+            found.append(move)
         return found
+
+    def still(self) -> Move:
+        """The move that is none."""
+        return Move(self.problem.create_vector(), self.problem.create_vector())
+
+    def _solve(self, right: np.ndarray) -> np.ndarray:
+        """Solutions for all columns of a right-hand side (local rows, k) at once: the factor is read once."""
+        size, comm = ((len(right), PETSc.DECIDE), (PETSc.DECIDE, right.shape[1])), self.problem.comm
+        given, found = (PETSc.Mat().createDense(size, comm=comm) for _ in range(2))
+        for matrix in (given, found):
+            matrix.setUp()
+        given.getDenseArray()[:] = right
+        for matrix in (given, found):
+            matrix.assemble()
+        self.factor.getFactorMatrix().matSolve(given, found)
+        solution = found.getDenseArray().copy()
+        for matrix in (given, found):
+            matrix.destroy()  # now, rather than when Python cleans up
+        return solution
 
     def settle(self, place: Place) -> bool:
         """Brings a place near the one linearised to equilibrium, at its shape or else with the least move, and finds
@@ -196,7 +215,7 @@ class Neighbours:
             if not norm < WORST * before or (norm > 0.5 * before and not self.linearise(place)):
                 return False
             f.scale(-1.0)
-            step = self.move(residual=f)
+            (step,) = self.moves([self.still()], residual=f)
             place.s.axpy(1.0, step.s)
             place.z.axpy(1.0, step.z)
         return False

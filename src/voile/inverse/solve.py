@@ -161,6 +161,8 @@ def solve_inverse(
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
     found = nearest or adjoint or path
+    if not adjoint:
+        target.hold(found.rest)  # the search for the least margin ends at another one
     z, trade = found.rest, None
     if options.developable:
         target.load(1.0)
