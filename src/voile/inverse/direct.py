@@ -73,9 +73,14 @@ class Direct:
         self.lu.setFactorSolverType("mumps")
         self.lu.setFromOptions()
 
-    def follow(self, on_step: Progress | None = None, guess: PETSc.Vec | None = None) -> DirectPath:
+    def follow(
+        self,
+        on_step: Progress | None = None,
+        guess: PETSc.Vec | None = None,
+        smallest: float = SMALLEST,
+    ) -> DirectPath:
         """The branch from the target itself without load to the full load, or to where it ends. guess: rest
-        displacements from which the full load is tried first."""
+        displacements from which the full load is tried first; smallest: step, a fraction of the load."""
         z = self.problem.create_vector()
         path = DirectPath(rest=z.copy())
         if guess is not None and self._take(guess, path, on_step):
@@ -93,7 +98,7 @@ class Direct:
                     path.critical, path.mode = fraction, self.target.softest_mode(z)
                     reason = f"stability is lost between {path.fraction:.4g} and {fraction:.4g} of the load"
                 path.reason = reason
-                if step < SMALLEST:
+                if step < smallest:
                     break
                 continue
             assert negative is not None
@@ -106,7 +111,7 @@ class Direct:
                 step *= 2.0
             elif path.critical is not None:
                 step = min(step, 0.5 * (path.critical - fraction))
-                if step < SMALLEST:
+                if step < smallest:
                     break
         path.converged = path.fraction >= 1.0
         self.target.load(path.fraction)

@@ -13,7 +13,7 @@ from voile.errors import NotConverged
 from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
-from voile.inverse.direct import Direct, DirectPath, DirectStep
+from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.nearest import NearestPath, approach
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.target import HOLDS, Target
@@ -188,15 +188,20 @@ def solve_inverse(
 
 
 def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
-    """The direct method; at contacts that slide its outcome depends on how firmly they hold: the longest path."""
+    """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
+    alternate between two states at any load: the full load is tried with all of HOLDS, then the longest path taken."""
     best, solver, iterations = None, Direct(target), 0
-    for hold in HOLDS if len(target.obstacles) else HOLDS[:1]:
-        target.firmness = hold * target.membrane
-        path = solver.follow(on_step, guess)
-        iterations += path.iterations
-        if best is None or path.fraction > best[0].fraction:
-            best = path, target.firmness
-        if path.converged or path.critical is not None:
+    holds = HOLDS if len(target.obstacles) else HOLDS[:1]
+    for smallest in (1.0, SMALLEST) if len(holds) > 1 else (SMALLEST,):
+        for hold in holds:
+            target.firmness = hold * target.membrane
+            path = solver.follow(on_step, guess, smallest)
+            iterations += path.iterations
+            if best is None or not best[0].fraction or path.fraction > best[0].fraction:
+                best = path, target.firmness
+            if path.converged or path.critical is not None:
+                break
+        if path.converged:
             break
     assert best is not None
     path, target.firmness = best
