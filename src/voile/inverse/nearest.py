@@ -93,6 +93,50 @@ class Trial:
     lowest: float
 
 
+@dataclass
+class Pace:
+    """How the next step goes. left: of the way; share: of the way, for a step along it (`moving`), else the step stays
+    where the last one ended; damping: of its move; enough: share of the merit that a step must win there; mu: the last
+    one at the end of the way; settled: whether that end is reached."""
+
+    left: float = 1.0
+    share: float = FIRST
+    damping: float = 0.0
+    moving: bool = True
+    enough: float = SETTLED
+    mu: float = math.inf
+    settled: bool = False
+
+    @property
+    def at_end(self) -> bool:
+        return not self.left
+
+    @property
+    def step(self) -> float:
+        return min(self.share, self.left) if self.moving else 0.0
+
+    def slower(self) -> bool:
+        """After a step that failed; whether there is another to try."""
+        if self.moving and self.enough > FINE:
+            self.moving, self.enough = False, FINE
+            return True
+        self.damping = max(4.0 * self.damping, 0.1)
+        self.share *= 0.5 if self.moving else 1.0
+        return self.share >= SHORTEST and self.damping <= STIFFEST
+
+    def after(self, quality: float) -> None:
+        """After a step of some quality."""
+        if self.moving:
+            self.left -= self.step
+            self.share *= 2.0 if quality > GOOD else 1.0
+            self.enough = SETTLED
+        elif quality > GOOD:
+            self.damping = 0.5 * self.damping if self.damping > 0.05 else 0.0
+        elif quality < FAIR:
+            self.damping = max(2.0 * self.damping, 0.1)
+        self.moving = False
+
+
 Progress = Callable[[NearestStep], None]
 Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
 
@@ -118,57 +162,46 @@ class Nearest:
         there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
         those win little; less, where the next step of the way fails, and no more than a share `exact` at its end, where
         there are so many steps left."""
-        way = fraction - place.fraction, margin - place.margin
-        left, share, damping, moving, enough, mu = 1.0, FIRST, 0.0, True, SETTLED, math.inf
+        way, pace = (fraction - place.fraction, margin - place.margin), Pace()
         while self.budget:
             self.budget -= 1
-            end = not left
-            enough = exact if end else enough
-            local = self._model(place, way, end, mu)
-            mu = (
-                local.model.mu if local and end else math.inf
-            )  # falls, or the steps at the end would not settle
-            while local:
-                step = min(share, left) if moving else 0.0
-                trial = self._propose(local, place, step, damping)
-                if not moving and local.merit - trial.merit <= enough * local.merit:
-                    if end:
-                        return place, True
-                    moving = True
-                    continue
-                inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
-                if not self.problem.everywhere(not inside.any()):
-                    self.beside.hold(inside)
-                    local = self._model(place, way, end, mu)
-                    continue
-                quality = self._quality(trial, local, moving)
-                if quality > POOR:
-                    break
-                if moving and enough > FINE:
-                    moving, enough = False, FINE
-                    continue
-                damping = max(4.0 * damping, 0.1)
-                share *= 0.5 if moving else 1.0
-                if share < SHORTEST or damping > STIFFEST:
-                    return place, False
-            else:
-                return place, False  # nothing can be factored here
-            if moving:
-                share *= 2.0 if quality > GOOD else 1.0
-                enough = SETTLED
-            elif quality > GOOD:
-                damping = 0.5 * damping if damping > 0.05 else 0.0
-            elif quality < FAIR:
-                damping = max(2.0 * damping, 0.1)
-            assert trial.place is not None  # of that quality
-            place, left, moving = trial.place, left - step, False
-            if not left:
+            if pace.at_end:
+                pace.enough = exact
+            trial = self._step(place, way, pace)
+            if trial is None or trial.place is None:
+                return place, pace.settled
+            place = trial.place
+            if pace.at_end:
                 place.fraction, place.margin = fraction, margin  # without round-off
             self._note(place)
-        return place, not left
+        return place, pace.at_end
 
-    def _model(self, place: Place, way: tuple[float, float], end: bool, most: float) -> Local | None:
-        """Linearises at a place; way: of the fraction and the margin, for a step of 1; most: of mu."""
+    def _step(self, place: Place, way: tuple[float, float], pace: Pace) -> Trial | None:
+        """The next place, at a pace that is changed on the way there; None where there is none."""
+        local = self._model(place, way, pace)
+        while local:
+            trial = self._propose(local, place, pace)
+            if not pace.moving and local.merit - trial.merit <= pace.enough * local.merit:
+                if pace.at_end:
+                    pace.settled = True
+                    return None
+                pace.moving = True
+                continue
+            inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
+            if not self.problem.everywhere(not inside.any()):
+                self.beside.hold(inside)
+                local = self._model(place, way, pace)
+                continue
+            quality = self._quality(trial, local, pace.moving)
+            if quality > POOR:
+                pace.after(quality)
+                return trial
+            if not pace.slower():
+                return None
+        return None  # nothing can be factored here
+
+    def _model(self, place: Place, way: tuple[float, float], pace: Pace) -> Local | None:
+        """Linearises at a place; way: of the fraction and the margin, for a step of 1."""
         beside, k = self.beside, len(place.values)
         if not beside.linearise(place):
             return None
@@ -185,16 +218,19 @@ class Nearest:
         turn[:, rows, columns] = turn[:, columns, rows] = (gram[1:] @ ortho).T
         ahead[rows, columns] = ahead[columns, rows] = [slope.dot(loaded) for slope in slopes.values()]
         half, matrix = 0.5 * place.s.dot(gradients[0].s), np.diag(place.values - place.margin) / cut
-        mu = min(max(SHARES[end] * half, LEAST[end]), most)
+        mu = max(SHARES[pace.at_end] * half, LEAST[pace.at_end])
+        if pace.at_end:  # the steps there would not settle if it rose
+            mu = pace.mu = min(mu, pace.mu)
         model = Model(matrix, turn / cut, gram[0] @ ortho, mu)
         rise = (ahead - way[1] * np.eye(k)) / cut
         merit = half + model.value(np.zeros(ortho.shape[1]))
         return Local(model, cut, rise, merit, half, basis, ortho, loaded, way)
 
-    def _propose(self, local: Local, place: Place, step: float, damping: float) -> Trial:
+    def _propose(self, local: Local, place: Place, pace: Pace) -> Trial:
         """The minimiser of the model a step ahead."""
+        step = pace.step
         model = replace(local.model, matrix=local.model.matrix + step * local.rise)
-        c = model.minimise(damping)
+        c = model.minimise(pace.damping)
         if c is None:
             return Trial(None, math.inf, math.nan)
         move = self.beside.still()
