@@ -25,6 +25,7 @@ from voile.problem.shell import Shell
 Progress = Callable[[DirectStep], None]
 NEAR = 2.0  # sags of the nearest answer: a simulation that stays there
 STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
+COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
 
@@ -189,10 +190,10 @@ def solve_inverse(
 
 def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
     """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
-    alternate between two states at any load: the full load is tried with all of HOLDS, then the longest path taken."""
+    alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken."""
     best, solver, iterations = None, Direct(target), 0
     holds = HOLDS if len(target.obstacles) else HOLDS[:1]
-    for smallest in (1.0, SMALLEST) if len(holds) > 1 else (SMALLEST,):
+    for smallest in (COARSE, SMALLEST) if len(holds) > 1 else (SMALLEST,):
         for hold in holds:
             target.firmness = hold * target.membrane
             path = solver.follow(on_step, guess, smallest)
