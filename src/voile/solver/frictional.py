@@ -69,9 +69,8 @@ class FrictionalSolver:
         self.problem, self.contact, self.snes, self.newton = problem, problem.contact, snes, newton
         self.semismooth = Semismooth(problem, self.contact)
         self.iterations = 0
-        self._wait = self._patience = (
-            0  # steps of pseudo-time without, and between, tries of the semismooth method
-        )
+        # steps of pseudo-time without, and between, tries of the semismooth method; whether descent still settles them
+        self._wait, self._patience, self._settles = 0, 0, True
 
     @property
     def seconds(self) -> float:
@@ -180,7 +179,7 @@ class FrictionalSolver:
         return self._norm(y) <= wanted or self._attempt(self._directly, y, wanted).converged
 
     def _by_pseudo_time(self, y: PETSc.Vec, wanted: float) -> Outcome:
-        problem = self.problem
+        problem, self._settles = self.problem, not self.contact.itself
         mass, slow = problem.mass(), slow_rate(problem)
         loads, began = max(problem.load_norm(y), wanted / 1e-8), self.contact.state.copy()
         rate, tried, pull, origin = FIRST_RATE * slow, np.inf, np.inf, y.copy()
@@ -223,21 +222,25 @@ class FrictionalSolver:
 
     def _pseudo_step(self, y: PETSc.Vec, wanted: float, rough: float, pull: float) -> int:
         """DONE, UNFINISHED or (0) failed: by the semismooth method, which waits longer and longer after it has failed,
-        else by descent. Where supports move the shell friction must remember: the laws hold in every step. Else a part
-        of their mismatch is left to the next step, as rough as the last step's pull (N) allows."""
+        else by descent until the reactions have settled. Where supports move the shell friction must remember: the laws
+        hold in every step. Else, once such a descent has failed, a part of their mismatch is left to the next step, as
+        rough as the last step's pull (N) allows; between layers at once, which take long to settle."""
         self._begin(y)
         reduced = REDUCED * self._norm(y)
         tolerance = max(wanted, min(rough, reduced))
+        exact = self.problem.supported and not self.contact.itself
         self._wait -= 1
         if self._wait < 0:
             if self._attempt(self._directly, y, tolerance).converged:
                 self._patience = 0
                 return DONE
             self._wait = self._patience = min(max(2 * self._patience, 1), PATIENCE)
-        if not self.problem.supported or self.contact.itself:
-            return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
-        descent = self._attempt(partial(self._by_descent, softest=1.0, updates=FEW), y, tolerance)
-        return DONE if descent.converged else 0
+        if exact or self._settles:
+            descent = partial(self._by_descent, softest=1.0, updates=FEW)
+            self._settles = self._attempt(descent, y, tolerance).converged
+            if self._settles or exact:
+                return DONE if self._settles else 0
+        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
 
     def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
         """One descent and one update of the reactions. Where there are none yet there is no friction either: such a
