@@ -85,7 +85,6 @@ class Forward:
         self.snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=PATIENCE)
         self.snes.setFromOptions()
         self.snes.solve(None, y)
-        PETSc.garbage_cleanup(problem.comm)  # petsc4py only marks what Python has dropped
         return self.snes.getConvergedReason() > 0
 
 

@@ -136,7 +136,6 @@ class Neighbours:
 
     def linearise(self, place: Place) -> bool:
         """Takes the manifold's tangent at a place for `moves`; False where it cannot be factored."""
-        PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         y = self.go_to(place)
         self.direct.linearise(y)
         across = self.target.stiffness(y).copy()

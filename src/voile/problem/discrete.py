@@ -246,6 +246,7 @@ class Problem:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). contact: what contact
         adds, in place of the potential's own."""
+        PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
         u, phi = self._shape(y)
         if self.contact and contact is None:
             contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
@@ -271,7 +272,7 @@ class Problem:
 
     def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
-        self._assembly.prepare(matrix, self.kernel, ())
+        self._assembly.prepare(matrix, self.kernel, at_vertices)
         self._assembly.scatter.assemble(blocks)
         self._assembly.add(matrix, at_vertices)
         matrix.assemble()

@@ -311,7 +311,6 @@ class FrictionalSolver:
         snes.setFromOptions()
         snes.solve(None, y)
         self.iterations += snes.getIterationNumber()
-        PETSc.garbage_cleanup(self.problem.comm)  # petsc4py only marks what Python has dropped
         return snes.getConvergedReason() > 0
 
     def _missed(self, y: PETSc.Vec) -> str:

@@ -128,7 +128,6 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
         snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=500)
         snes.setFromOptions()
         snes.solve(None, y)
-        PETSc.garbage_cleanup(problem.comm)  # petsc4py only marks what Python has dropped
         path.seconds["linear_solve"] = newton.seconds
         iterations += snes.getIterationNumber()
         path.newton_iterations += snes.getIterationNumber()
