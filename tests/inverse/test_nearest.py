@@ -56,9 +56,7 @@ def neighbours(kind):
     target = Target(Problem(shape, MPI.COMM_SELF), shape, bodies, 0.5e-3, 1e-3)
     path = Direct(target).follow()
     assert path.converged
-    held = np.zeros(len(target.x), dtype=bool)
-    held[target.cones.vertex] = True
-    beside = Neighbours(Direct(target), held)
+    beside = Neighbours(Direct(target), target.touching())
     beside.cut = np.inf  # as many modes as it takes
     place = Place(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
     assert beside.linearise(place) and beside.settle(place)

@@ -99,10 +99,10 @@ def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v - dot(normal, v)[:, None] * normal
 
 
-def barrier(gap: np.ndarray, thickness: float) -> np.ndarray:
+def barrier(gap: np.ndarray, thickness: float | np.ndarray) -> np.ndarray:
     """(3, p) potential (m^2), push (m) and stiffness, each times N/m, that keep layers from meeting: of the gap (p,)
-    between surfaces `thickness` (m) from it, b = -gap^2 ln(1 + gap / thickness) where gap < 0 (Li et al. 2020, IPC), to
-    third order nothing at gap = 0."""
+    between surfaces `thickness` (m, one or (p,)) from it, b = -gap^2 ln(1 + gap / thickness) where gap < 0 (Li et al.
+    2020, IPC), to third order nothing at gap = 0."""
     g = np.minimum(gap, 0.0)
     d = np.maximum(g + thickness, 1e-300)
     log = np.log(d / thickness)

@@ -61,6 +61,10 @@ class OnObstacle:
         """(p,) marks the contacts that count on this rank."""
         return self.own[rows]
 
+    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+        """Rows of the contacts known by codes (p,): the vertices themselves."""
+        return code
+
     def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
         """(n,) gap (m) of each vertex."""
         return self.gaps(x, factor, state)

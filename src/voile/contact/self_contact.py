@@ -28,12 +28,14 @@ ACROSS = ((0, 1), (0, 2), (0, 3)), ((0, 2), (0, 3), (1, 2), (1, 3))  # a stencil
 @dataclass(frozen=True)
 class Candidates:
     """Pairs that may touch near the positions home (n, 3): vertex (c, 4), the first `faces` of them a vertex and a
-    triangle, then edges and edges; code (c,) ascending, what a pair is known by."""
+    triangle, then edges and edges; code (c,) ascending, what a pair is known by; apart (c,) m, the distance that it
+    keeps."""
 
     code: np.ndarray
     vertex: np.ndarray
     faces: int
     home: np.ndarray
+    apart: np.ndarray
 
 
 @dataclass
@@ -41,7 +43,8 @@ class Layers:
     """All n vertices of a shell as layers that keep `thickness` (m) between their mid-surfaces.
 
     points (n, 3) m; triangles (m, 3); edges (e, 2); barred (b, 2): vertices too near along the cloth to touch, or
-    `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient.
+    `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient; known (k,): codes of pairs,
+    ascending, that keep another distance apart (k,) m.
     """
 
     points: np.ndarray
@@ -51,6 +54,8 @@ class Layers:
     thickness: float
     friction: float
     caught: int = 0
+    known: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    apart: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
@@ -63,9 +68,11 @@ class Layers:
     def __reduce__(self):  # ipctk's mesh is not sent to other ranks
         return Layers, tuple(getattr(self, f.name) for f in fields(self))
 
-    def find(self, x: np.ndarray, kept: np.ndarray) -> Candidates:
-        """Candidates at positions x (n, 3), with those of the codes kept (k,) in any case."""
-        found, reach = ipctk.Candidates(), (1.0 + BAND) * self.thickness
+    def find(self, x: np.ndarray, kept: np.ndarray | None = None, further: float | None = None) -> Candidates:
+        """Candidates at positions x (n, 3), up to `further` (m) from touching, with `known` ones and those of the codes
+        kept (k,) in any case."""
+        reach = self.thickness + (BAND * self.thickness if further is None else further)
+        found, kept = ipctk.Candidates(), self.known if kept is None else np.union1d(kept, self.known)
         found.build(self._mesh, x, 0.5 * reach)
         boxed = self._named(self._codes(found), x)  # of these the boxes come near
         corner, split = x[boxed.vertex], boxed.faces
@@ -76,7 +83,7 @@ class Layers:
         """(b, 2) pairs of vertices across from each other in the pairs of the start nearer than distance (m)."""
         if distance <= 0.0:
             return np.zeros((0, 2), dtype=np.int64)
-        found = self.find(self.points, np.zeros(0, dtype=np.int64))
+        found = self.find(self.points)
         near = closest(found, self.points).distance < distance
         parts = zip((slice(found.faces), slice(found.faces, None)), ACROSS, strict=True)
         return np.concatenate(
@@ -84,7 +91,9 @@ class Layers:
         ).astype(np.int64)
 
     def _named(self, code: np.ndarray, x: np.ndarray) -> Candidates:
-        return Candidates(code, self._vertices(code), self._faces(code), x.copy())
+        apart = np.full(len(code), self.thickness)
+        apart[np.isin(code, self.known)] = self.apart[np.isin(self.known, code)]
+        return Candidates(code, self._vertices(code), self._faces(code), x.copy(), apart)
 
     def valid(self, candidates: Candidates, x: np.ndarray) -> bool:
         """Whether no other pairs than the candidates can touch at positions x (n, 3)."""
@@ -112,7 +121,7 @@ class Layers:
     def check_start(self, x: np.ndarray) -> None:
         """Raises InputError where layers at x (n, 3) are in the same place, or (away from what is barred) through each
         other."""
-        here = self.find(x, np.zeros(0, dtype=np.int64))
+        here = self.find(x)
         distance = closest(here, x).distance
         if len(distance) and distance.min() <= SAME * self.thickness:
             vertex = here.vertex[np.argmin(distance), 0]
@@ -121,20 +130,34 @@ class Layers:
                 f"contact.self_contact: layers of the shell start in the same place at vertex {vertex} ({place}); "
                 "move them apart, or sew them"
             )
-        apart = self.triangles[~np.isin(self.triangles, self.barred).any(axis=1)]
-        sides = np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        if ipctk.has_intersections(ipctk.CollisionMesh(x, np.unique(sides, axis=0), apart), x):
+        crossing = self._crossing(x)
+        if len(crossing):
+            place = ", ".join(f"{c:.4g}" for c in x[crossing[0]])
             raise InputError(
-                "contact.self_contact: the shell starts passing through itself; move its layers apart"
+                f"contact.self_contact: the shell starts passing through itself near {len(crossing)} vertices, first "
+                f"{crossing[0]} ({place}); move its layers apart"
             )
+
+    def _crossing(self, x: np.ndarray) -> np.ndarray:
+        """Vertices of edges that pass through a triangle, away from what is barred."""
+        apart = self.triangles[~np.isin(self.triangles, self.barred).any(axis=1)]
+        sides = np.unique(np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        boxes = ipctk.LBVH()
+        boxes.build(x, sides, apart, 0.0)
+        found = [(c.edge_id, c.face_id) for c in boxes.detect_edge_face_candidates()]
+        edge, face = np.array(found, dtype=np.int64).reshape(-1, 2).T
+        joined = (sides[edge][:, :, None] == apart[face][:, None]).any(axis=(1, 2))
+        stencil = np.column_stack([sides[edge], apart[face]])[~joined]
+        through = [ipctk.is_edge_intersecting_triangle(*x[row]) for row in stencil]
+        return np.unique(stencil[np.array(through, dtype=bool)][:, :2])
 
     def check_held(self, x: np.ndarray, free: np.ndarray) -> None:
         """Raises InputError where what is not free (n,) keeps layers at x (n, 3) nearer than they may come."""
-        here = self.find(x, np.zeros(0, dtype=np.int64))
+        here = self.find(x)
         c = closest(here, x)
         held = ~((c.weight != 0.0) & free[here.vertex]).any(axis=1)
         near = np.where(held, c.distance, np.inf)
-        if len(near) and near.min() < (1.0 - SAME) * self.thickness:
+        if (near < (1.0 - SAME) * here.apart).any():
             vertex = here.vertex[np.argmin(near), 0]
             raise InputError(
                 f"contact.self_contact: supports hold layers of the shell {near.min():.4g} m apart at vertex {vertex}, "
@@ -211,14 +234,14 @@ class OnItself:
 
     def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
         """(c,) m; infinite for edges that are not closest inside both."""
-        return self._closest(state.candidates, x).distance - self.layers.thickness
+        return self._closest(state.candidates, x).distance - state.candidates.apart
 
     def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
         """That of some contacts, whose gaps are finite."""
         vertex = state.candidates.vertex[rows]
         c = self._closest(state.candidates, x)[rows]
         normal, curvature = derivatives(c, x[vertex])
-        return Geometry(c.distance - self.layers.thickness, normal, curvature, vertex, c.weight)
+        return Geometry(c.distance - state.candidates.apart[rows], normal, curvature, vertex, c.weight)
 
     def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
         """As `closest`, which is asked for again and again at the same positions."""
@@ -240,6 +263,10 @@ class OnItself:
     def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
         """(p,) marks the contacts that count on this rank."""
         return self.own[state.candidates.vertex[rows, 0]]
+
+    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+        """Rows of the contacts known by codes (p,), which are among the candidates."""
+        return np.searchsorted(state.candidates.code, code)
 
     def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
         """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""

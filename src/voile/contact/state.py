@@ -62,7 +62,9 @@ def _blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> State:
         [np.zeros(shape(c, s)) for c, s in sizes]
         for shape in (lambda c, s: c, lambda c, s: (c, 3), lambda c, s: (c, s))
     )
-    none = Candidates(np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)))
+    none = Candidates(
+        np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)), np.zeros(0)
+    )
     blank = State(scalars, vectors, scalars, vectors, weights, reference, 0.0, none, np.zeros((0, 3)))
     return blank.copy()
 
@@ -184,7 +186,7 @@ class Contact:
         where the laws hold."""
         if p.index < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(p.row)))
-        return BARRIER * self.rho(p.index) * barrier(p.gap, self.itself.layers.thickness)
+        return BARRIER * self.rho(p.index) * barrier(p.gap, self.state.candidates.apart[p.row])
 
     def slips(self, p: Pairs) -> np.ndarray:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""

@@ -149,9 +149,7 @@ class Nearest:
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
-        held = np.zeros(len(target.x), dtype=bool)
-        held[target.cones.vertex] = True
-        self.beside = Neighbours(direct, held)
+        self.beside = Neighbours(direct, target.touching())
 
     # ---- the path ----
 
@@ -311,7 +309,7 @@ class Nearest:
 
 def _orthonormal(gram: np.ndarray) -> np.ndarray:
     """(p, q) combinations of p vectors with these products that are orthonormal, dependent ones left out."""
-    size = np.sqrt(np.diag(gram))
+    size = np.sqrt(np.maximum(np.diag(gram), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     theta, q = np.linalg.eigh(gram * scale * scale[:, None])
     kept = theta > INDEPENDENT * theta[-1]
@@ -324,10 +322,12 @@ def approach(
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
     from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. None where
-    the full load is not reached."""
+    the full load is not reached or nothing is free to move."""
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
         search = Nearest(Direct(target), on_step)
+        if not search.beside.movable.sum():  # all of it touches
+            return None
         place, reached = search.reach(path, first * search.beside.slow)
         if reached and not margin:
             return search.confirm(place, stays)

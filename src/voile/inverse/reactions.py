@@ -22,9 +22,8 @@ BISECTIONS = 40
 
 @dataclass
 class Cones:
-    """Contacts of one rank: vertex (c,) of each, unit normal (c, 3), friction (c,)."""
+    """Contacts of one rank: unit normal (c, 3) and friction (c,) of each."""
 
-    vertex: np.ndarray
     normal: np.ndarray
     friction: np.ndarray
 
@@ -53,9 +52,9 @@ class Cones:
 
 @dataclass
 class Balance:
-    """The loads to be held: weight (c,) > 0 and load (c, 3) N of each contact's vertex, modes (c, 3, k) the free rigid
-    motions there, resultant (k,) N of all loads in them, scale (N) of the loads; own (c,) marks what this rank counts,
-    add sums an array over ranks."""
+    """The loads to be held: weight (c,) > 0 and load (c, 3) N that each contact should carry, modes (c, 3, k) the free
+    rigid motions there (their jump between layers), resultant (k,) N of all loads in them, scale (N) of the loads; own
+    (c,) marks what this rank counts, add sums an array over ranks."""
 
     weight: np.ndarray
     load: np.ndarray

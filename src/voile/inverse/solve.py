@@ -9,6 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
+from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
 from voile.inverse.adjoint import AdjointPath, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
@@ -134,13 +135,15 @@ def solve_inverse(
     exempt: np.ndarray | None = None,
     guess: np.ndarray | None = None,
     on_nearest: NearestProgress | None = None,
+    layers: Layers | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
-    `offset` (m) from the mid-surface. exempt: vertices of the shell that may have an angle defect in a developable rest
-    shape, beside boundaries and seams; guess (n, 3) m: rest positions to start from. exempt and guess on rank 0. Raises
-    NotConverged where no reactions can hold the target."""
+    `offset` (m) from the mid-surface, and on its own `layers` where they are in each other's way. exempt: vertices of
+    the shell that may have an angle defect in a developable rest shape, beside boundaries and seams; guess (n, 3) m:
+    rest positions to start from. exempt and guess on rank 0. Raises NotConverged where no reactions can hold the
+    target."""
     options = options or InverseOptions()
-    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
+    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
@@ -192,7 +195,7 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
     """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
     alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken."""
     best, solver, iterations = None, Direct(target), 0
-    holds = HOLDS if len(target.obstacles) else HOLDS[:1]
+    holds = HOLDS if target.touches else HOLDS[:1]
     for smallest in (COARSE, SMALLEST) if len(holds) > 1 else (SMALLEST,):
         for hold in holds:
             target.firmness = hold * target.membrane
@@ -255,11 +258,12 @@ def solve_panels(
     options: InverseOptions | None = None,
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
+    layers: Layers | None = None,
 ) -> tuple[InverseResult, np.ndarray]:
     """As `solve_inverse` with flat panels, the problem's rest shape, whose 2D coordinates (p, 2) m, given on every
     rank, are the design variables: the panels that drape nearest to the target, and their coordinates."""
     options = options or InverseOptions()
-    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction)
+    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
     path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
@@ -329,13 +333,13 @@ def _reactions(target: Target) -> dict:
     """What holds the target, over all ranks: contacts, those that bear, the least margin to slip (share of friction's
     bound that is left) and the least friction that would do."""
     comm = target.problem.comm
-    own = target.problem.own[target.cones.vertex]
+    own, body = target.own, target.on_obstacles()
     normal, margin = target.margins()
     bears = own & (normal > 0.0)
     return {
         "contacts": comm.allreduce(int(own.sum())),
         "bearing": comm.allreduce(int(bears.sum())),
-        "force": comm.allreduce(target.reactions[own].sum(axis=0)),
+        "force": comm.allreduce(target.reactions[own & body].sum(axis=0)),
         "least_margin": comm.allreduce(float(margin[bears].min(initial=1.0)), op=MPI.MIN),
         "least_friction": target.least_friction,
     }

@@ -1,8 +1,8 @@
 """The target: the shape that is to be in equilibrium, with what holds it there."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
@@ -10,9 +10,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
-from voile.contact.state import FIRM, FREE, STICK, Contact
+from voile.contact.pairs import FIRM, FREE, STICK, dot, outer, within
+from voile.contact.self_contact import Layers
+from voile.contact.state import Contact
 from voile.errors import NotConverged
 from voile.inverse.reactions import Balance, Cones, least_friction
+from voile.inverse.touches import Touch, clearances, find_touches
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
@@ -27,25 +30,12 @@ CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
 
-@dataclass
-class Touch:
-    """Contacts of one obstacle at the target: local vertices (c,), their gaps before any offset (m), lengths of the
-    gap's gradient, unit normals, and the gap's Hessian over that length."""
-
-    index: int
-    vertex: np.ndarray
-    gap: np.ndarray
-    steepness: np.ndarray
-    normal: np.ndarray
-    curvature: np.ndarray
-
-
 class Target:
     """A problem at its start shape, the target, as the inverse solvers see it.
 
-    Vertices nearer than `tolerance` (m) to an obstacle's surface may carry a reaction there; their gaps are kept as
-    they are. `reactions` (c, 3) N are in Coulomb's cones and hold the shell as a whole; they act as dead forces while
-    the rest shape is sought, and are those of contact in the simulation (`obstruct`).
+    What is nearer than `tolerance` (m) to touching, a vertex an obstacle or layers each other, may carry a reaction
+    there; gaps are kept as they are. `reactions` (c, 3) N are in Coulomb's cones and hold the shell as a whole; they
+    act as dead forces while the rest shape is sought, and are those of contact in the simulation (`obstruct`).
     """
 
     def __init__(
@@ -56,20 +46,25 @@ class Target:
         offset: float,
         tolerance: float,
         friction: bool = True,
+        layers: Layers | None = None,
     ):
+        """layers: the shell's, where they are in each other's way. Raises InputError where they start in the same place
+        or through each other, NotConverged where no reactions can hold the target."""
         self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
+        self.layers = layers
         self.rest = RestShape(problem)
         self.tangent = problem.create_matrix()
         comm = problem.comm
         modes = comm.bcast(free_motions(shell) if shell is not None else None)
         self.modes = modes[problem.part.vertex]
-        self.ground_rows = np.zeros(0, dtype=np.int32) if obstacles else self._grounding()
         self.x = problem.positions(problem.create_vector())
         self.movable = np.diff(problem.part.matrix.indptr)[: 3 * len(self.x)].reshape(-1, 3).any(axis=1)
-        self.touches = [self._touch(k) for k in range(len(obstacles))]
+        self.touches = self._find_touches()
+        self.own = self._gather(lambda touch: touch.own).astype(bool)
+        touches = bool(obstacles) or comm.allreduce(int(self.own.sum())) > 0
+        self.ground_rows = np.zeros(0, dtype=np.int32) if touches else self._grounding()
         self.cones = self._cones(friction)
-        self.reactions = np.zeros((len(self.cones.vertex), 3))
-        self._slope = np.zeros((len(self.cones.vertex), 3, 3))
+        self.reactions, self._slope = np.zeros((len(self.own), 3)), np.zeros((len(self.own), 3, 3))
         fabric, part = problem.part.fabric, problem.part
         total = comm.allreduce(np.array([(fabric[0] * fabric[1]) @ part.weight, part.weight.sum()]))
         self.membrane = float(total[0] / total[1])  # N/m, about the shell's own at a vertex
@@ -80,23 +75,43 @@ class Target:
 
     # ---- contacts ----
 
-    def _touch(self, k: int) -> Touch:
-        gap = self.obstacles[k].gap(self.x, 0.0)
-        near = np.flatnonzero((gap - self.offset < self.tolerance) & self.movable)
-        _, gradient, curvature = self.obstacles[k].gap_derivatives(self.x[near], 0.0)
-        steepness = np.linalg.norm(gradient, axis=1)
-        unit, bent = gradient / steepness[:, None], curvature / steepness[:, None, None]
-        return Touch(k, near, gap[near], steepness, unit, bent)
+    def _find_touches(self) -> list[Touch]:
+        attach(self.problem, self.obstacles, self.offset, self.layers)
+        contact, self.problem.contact = self.problem.contact, None
+        return find_touches(contact, self.x, self.tolerance) if isinstance(contact, Contact) else []
 
     def _cones(self, friction: bool) -> Cones:
         if not self.touches:
-            return Cones(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
-        mu = [o.friction if friction else 0.0 for o in self.obstacles]
-        return Cones(
-            np.concatenate([t.vertex for t in self.touches]),
-            np.concatenate([t.normal for t in self.touches]),
-            np.concatenate([np.full(len(t.vertex), mu[t.index]) for t in self.touches]),
-        )
+            return Cones(np.zeros((0, 3)), np.zeros(0))
+        mu = [np.full(len(t), t.partner.friction if friction else 0.0) for t in self.touches]
+        return Cones(np.concatenate([t.normal for t in self.touches]), np.concatenate(mu))
+
+    def _gather(self, part: Callable[[Touch], np.ndarray], *shape: int) -> np.ndarray:
+        """(c, ...) of all contacts, what `part` says of those with one partner."""
+        return np.concatenate([np.zeros((0, *shape)), *map(part, self.touches)])
+
+    def _jump(self, field: np.ndarray) -> np.ndarray:
+        """(c, 3, ...) of a field (local vertices, 3, ...) at all contacts."""
+        return self._gather(lambda touch: touch.relative(field), *field.shape[1:])
+
+    def _spread(self) -> np.ndarray:
+        """(local vertices, 3) forces of the reactions (N)."""
+        return sum((t.spread(self.reactions[rows]) for t, rows in self._rows()), np.zeros_like(self.x))
+
+    def _rigid(self, touch: Touch) -> bool:
+        """Whether it is with an obstacle."""
+        return touch.index < len(self.obstacles)
+
+    def on_obstacles(self) -> np.ndarray:
+        """(c,) marks the contacts with obstacles."""
+        return self._gather(lambda touch: np.full(len(touch), self._rigid(touch))).astype(bool)
+
+    def touching(self) -> np.ndarray:
+        """(n,) local vertices that touch."""
+        marked = np.zeros(len(self.x), dtype=bool)
+        for touch in self.touches:
+            marked[touch.local()] = True
+        return marked
 
     def _balance(self) -> Balance:
         """The present loads, at load factor 1."""
@@ -105,21 +120,27 @@ class Target:
         load = (problem.weight_force()[: 3 * n] + part.force[: 3 * n]).reshape(-1, 3)
         size = np.linalg.norm(load, axis=1)
         total = problem.comm.allreduce(np.array([size[problem.own].sum(), float(problem.own.sum())]))
-        v = self.cones.vertex
+        mean = total[0] / total[1]
+
+        def borne(touch: Touch, values: np.ndarray, else_: float) -> np.ndarray:
+            """A vertex bears what it carries; layers as little as possible."""
+            layers = np.full((len(touch), *values.shape[1:]), else_)
+            return values[touch.stencil] if self._rigid(touch) else layers
+
         resultant = problem.comm.allreduce(np.einsum("vik,vi->k", self.modes[problem.own], load[problem.own]))
         return Balance(
-            weight=np.maximum(size[v], 1e-3 * total[0] / total[1]),
-            load=load[v],
-            modes=self.modes[v],
+            weight=self._gather(lambda touch: borne(touch, np.maximum(size, 1e-3 * mean), mean)),
+            load=self._gather(lambda touch: borne(touch, load, 0.0), 3),
+            modes=self._jump(self.modes),
             resultant=resultant,
             scale=float(total[0]),
-            own=problem.own[v],
+            own=self.own,
             add=problem.comm.allreduce,
         )
 
     def _settle_friction(self) -> None:
         """Chooses how much of the friction the reactions may use. Raises NotConverged where all is not enough."""
-        if not self.modes.shape[2] and not self.obstacles:
+        if not self.modes.shape[2] and not self.touches:
             return
         balance, cones = self._balance(), self.cones
         if balance.solve(cones) is None:
@@ -132,7 +153,9 @@ class Target:
 
     def _no_reactions(self, balance: Balance) -> str:
         count = self.problem.comm.allreduce(int(balance.own.sum()))
-        names = ", ".join(f"{o.name} (friction {o.friction:g})" for o in self.obstacles) or "none"
+        partners = [(o.name, o.friction) for o in self.obstacles]
+        partners += [("itself", self.layers.friction)] if self.layers else []
+        names = ", ".join(f"{name} (friction {friction:g})" for name, friction in partners) or "none"
         if not count:
             return (
                 f"the target touches nothing that could hold it: no vertex within inverse.contact_tolerance = "
@@ -148,41 +171,42 @@ class Target:
     def _where(self, r: np.ndarray | None) -> str:
         """The contact that would carry most."""
         assert r is not None
-        size = np.linalg.norm(r, axis=1)
+        size, part = np.linalg.norm(r, axis=1), self.problem.part
+        places = self._gather(lambda t: t.partner.widen(self.x)[t.geometry.vertex[:, 0]], 3)
+        vertex = self._gather(lambda t: part.vertex[t.stencil] if self._rigid(t) else t.stencil[:, 0])
         mine = (float(size.max(initial=0.0)), self.problem.comm.rank)
         most, rank = self.problem.comm.allreduce(mine, op=MPI.MAX)
         text = ""
         if rank == self.problem.comm.rank and len(size):
             k = int(np.argmax(size))
-            v = self.cones.vertex[k]
-            x = ", ".join(f"{c:.4g}" for c in self.x[v])
-            text = f"with {most:.3g} N at vertex {self.problem.part.vertex[v]} ({x})"
+            x = ", ".join(f"{c:.4g}" for c in places[k])
+            text = f"with {most:.3g} N at vertex {int(vertex[k])} ({x})"
         return self.problem.comm.bcast(text, root=rank)
 
     def hold(self, z: PETSc.Vec) -> None:
         """Reactions for the rest displacement z."""
-        moved = self.problem.motion(z)[self._used.vertex]
+        moved = self._jump(self.problem.motion(z))
         self.reactions, self._slope = self._used.project(self.firmness * moved)
 
     def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
         """Balance of forces at y with the present rest shape and reactions (N)."""
-        total = np.zeros_like(self.x)
-        np.add.at(total, self.cones.vertex, self.reactions)
-        self.problem.residual(y, f, total)
+        self.problem.residual(y, f, self._spread())
         f.array[self._mine() - self.problem.part.first_global] = 0.0
 
     def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat) -> None:
         """Its derivative by the rest positions."""
-        self.rest.jacobian(y, matrix, [(self.cones.vertex, -self.firmness * self._slope)])
+        slope = -self.firmness * self._slope
+        blocks = [(touch.stencil, touch.over_vertices(slope[rows])) for touch, rows in self._rows()]
+        self.rest.jacobian(y, matrix, blocks)
         if len(self.ground_rows):
             matrix.zeroRowsColumns(self._mine(), 1.0)
 
     def _rows(self) -> Iterator[tuple[Touch, slice]]:
-        """Each obstacle's contacts and their rows among all."""
+        """The contacts with each partner and their rows among all."""
         start = 0
         for touch in self.touches:
-            yield touch, slice(start, start + len(touch.vertex))
-            start += len(touch.vertex)
+            yield touch, slice(start, start + len(touch))
+            start += len(touch)
 
     def _bears(self) -> np.ndarray:
         """(c,) whether a contact carries anything."""
@@ -192,23 +216,22 @@ class Target:
 
     def margins(self) -> tuple[np.ndarray, np.ndarray]:
         """(c,) normal reactions (N) and margins to slip: 1 - |r_T| / (mu r_N), 1 where nothing bears."""
-        normal = np.einsum("ci,ci->c", self.reactions, self.cones.normal)
-        tangential = np.linalg.norm(self.reactions - normal[:, None] * self.cones.normal, axis=1)
+        normal = dot(self.reactions, self.cones.normal)
+        tangential = np.linalg.norm(within(self.cones.normal, self.reactions), axis=1)
         bound = self.cones.friction * normal
         share = np.divide(tangential, bound, out=np.zeros_like(bound), where=bound > 0.0)
         return normal, 1.0 - share
 
     def fields(self) -> dict[str, np.ndarray]:
         """Of the target at the local vertices: reaction (n, 3) N, gap (n,) m, contact (n,): 1 where it bears."""
-        if not self.obstacles:
+        if not self.touches:
             return {}
-        n = len(self.x)
-        reaction, gap = np.zeros((n, 3)), np.full(n, np.inf)
-        np.add.at(reaction, self.cones.vertex, self.reactions)
+        reaction, gap = self._spread(), np.full(len(self.x), np.inf)
+        if self.layers:
+            gap[:] = self.layers.thickness  # the reach of a simulation's search for layers
         for obstacle in self.obstacles:
             gap = np.minimum(gap, obstacle.gap(self.x, 0.0) - self.offset)
-        for touch in self.touches:
-            gap[touch.vertex] = 0.0  # as recorded
+        gap[self.touching()] = 0.0  # as recorded
         state = np.where(np.linalg.norm(reaction, axis=1) > 0.0, STICK, FREE).astype(np.uint8)
         return {"reaction": reaction, "gap": gap, "contact": state}
 
@@ -257,16 +280,13 @@ class Target:
     def _held(self):
         firm, bearing = FIRM * self.membrane, self._bears()
         for touch, rows in self._rows():
-            bears = bearing[rows]
-            sticks = self.cones.friction[rows] > 0.0
-            along = touch.normal[:, :, None] * touch.normal[:, None, :]
-            pressed = np.einsum("ci,ci->c", self.reactions[rows], touch.normal)
-            blocks = np.where(
-                sticks[:, None, None],
-                firm * np.eye(3),
-                firm * along - pressed[:, None, None] * touch.curvature,
+            bears, sticks = bearing[rows], (self.cones.friction[rows] > 0.0)[:, None, None]
+            pressed = dot(self.reactions[rows], touch.normal)
+            blocks = touch.over_vertices(
+                np.where(sticks, firm * np.eye(3), firm * outer(touch.normal, touch.normal))
             )
-            yield touch.vertex[bears], blocks[bears]
+            blocks -= pressed[:, None, None] * touch.bent()
+            yield touch.stencil[bears], blocks[bears]
 
     def softest_mode(self, z: PETSc.Vec) -> PETSc.Vec:
         """The mode of the smallest eigenvalue at z (unknowns, largest entry 1)."""
@@ -279,26 +299,36 @@ class Target:
     # ---- for the simulation ----
 
     def obstruct(self) -> None:
-        """Puts the obstacles in the way: what bears at the gap that it has in the target, with its reaction; what does
-        not where it is, or just clear of it."""
-        problem = self.problem
-        if not self.obstacles:
+        """Puts obstacles and layers in the way: what bears at the gap that it has in the target, with its reaction;
+        what does not where it is, or just clear of it."""
+        problem, bearing = self.problem, self._bears()
+        if not self.touches:
             return
         offset = np.full((len(self.obstacles), len(self.x)), self.offset)
-        clearance = CLEARANCE * problem.thickness()
+        clearance, layers = CLEARANCE * problem.thickness(), self.layers
         for touch, rows in self._rows():
-            bears = self._bears()[rows]
-            clear = np.minimum(self.offset, touch.gap - clearance)
-            offset[touch.index, touch.vertex] = np.where(bears, touch.gap, clear)
-        attach(problem, self.obstacles, offset)
+            bears = bearing[rows]
+            if self._rigid(touch):
+                clear = np.minimum(self.offset, touch.gap - clearance)
+                offset[touch.index, touch.stencil] = np.where(bears, touch.gap, clear)
+            elif layers:
+                apart = clearances(layers, touch.partner.widen(self.x), clearance)
+                apart |= dict(zip(touch.code[bears].tolist(), touch.gap[bears].tolist(), strict=True))
+                known = np.array(sorted(apart), dtype=np.int64)
+                layers = replace(
+                    layers, known=known, apart=np.array([apart[code] for code in known.tolist()])
+                )
+        attach(problem, self.obstacles, offset, layers)
         contact = problem.contact
         assert isinstance(contact, Contact)
         contact.begin(self.x, 1.0)
+        contact.pairs(self.x, 1.0)  # finds layers
         for touch, rows in self._rows():
-            r = self.reactions[rows]
-            normal = np.einsum("ci,ci->c", r, touch.normal)
-            contact.state.normal[touch.index][touch.vertex] = normal / touch.steepness
-            contact.state.friction[touch.index][touch.vertex] = r - normal[:, None] * touch.normal
+            r, bears = self.reactions[rows], bearing[rows]
+            normal = dot(r, touch.normal)
+            places = contact.partners[touch.index].places(touch.code[bears], contact.state)
+            contact.state.normal[touch.index][places] = (normal / touch.steepness)[bears]
+            contact.state.friction[touch.index][places] = within(touch.normal, r)[bears]
 
     @contextmanager
     def obstructed(self) -> Iterator[None]:

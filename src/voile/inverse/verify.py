@@ -14,6 +14,7 @@ from voile.solver.statics import solve_statics
 
 DISTURBANCE = 1.0  # thicknesses
 NEARER = 0.1  # of its way to where contact may begin, that a vertex is disturbed at most: no jags there
+GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewise: strain
 
 
 @dataclass
@@ -80,4 +81,6 @@ def _disturbance(target: Target) -> PETSc.Vec:
     for obstacle in target.obstacles:
         away = obstacle.gap(x, 0.0) - target.offset - target.tolerance
         reach = np.minimum(reach, NEARER * np.maximum(away, 0.0))
+    if target.layers:
+        reach = np.minimum(reach, GENTLE * target.touches[-1].along())
     return target.field_vector(reach[:, None] * np.sin(x @ wave.T))

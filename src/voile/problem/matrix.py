@@ -45,6 +45,7 @@ class Assembly:
         if self._pattern is None:
             self._pattern = self._find_pattern(kernel)
         matrix.setPreallocationCSR(self._pattern)
+        matrix.setAttr("coupled", len(self.coupled))
         self._bind(matrix)
 
     def _find_pattern(self, kernel: _kernels.Elastic) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +76,8 @@ class Assembly:
             self.coupled = np.unique(np.concatenate([*needed, *near, self.coupled]))
             self._pattern = None
             self._allocate(matrix, kernel)
-            matrix.setAttr("coupled", len(self.coupled))
+        elif matrix.getAttr("coupled") != len(self.coupled):
+            self._allocate(matrix, kernel)
         elif matrix.handle != self._bound:
             self._bind(matrix)
 
@@ -140,6 +142,6 @@ class Assembly:
 
 def _over_dofs(vertex: np.ndarray, block: np.ndarray, count: int) -> sp.csr_matrix:
     """Sum of blocks (p, 3s, 3s) over the dofs of vertices (p, s), `count` dofs in all."""
-    dof = (3 * vertex[:, :, None] + np.arange(3)).reshape(len(vertex), -1)
+    dof = (3 * vertex[:, :, None] + np.arange(3)).reshape(len(vertex), 3 * vertex.shape[1])
     row, col = np.broadcast_arrays(dof[:, :, None], dof[:, None, :])
     return sp.csr_matrix((block.ravel(), (row.ravel(), col.ravel())), shape=(count, count))

@@ -269,7 +269,7 @@ class Inverse:
     )
     contact_tolerance: float = key(
         Number("m", above=0),
-        "target vertices nearer than this to an obstacle may carry a reaction",
+        "target vertices nearer than this to an obstacle, and layers to touching, may carry a reaction",
         default=0.001,
     )
     developable: bool | str = key(
@@ -384,6 +384,8 @@ def unsupported(scene: Scene) -> list[str]:
     asked = {
         f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
         f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
-        "contact.self_contact = true with task = inverse": inverse and scene.contact.self_contact,
+        "contact.self_contact = true with inverse.estimate": inverse
+        and scene.contact.self_contact
+        and bool(scene.inverse.estimate),
     }
     return [what for what, used in asked.items() if used]

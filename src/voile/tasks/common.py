@@ -26,6 +26,24 @@ def rows(problem, y) -> dict:
     return values
 
 
+def find_layers(scene, model, shell, comm):
+    """The layers of a sewn shell (rank 0's) that are in each other's way, on all ranks; None where the scene lets them
+    pass. Adds a note on those that are not kept apart."""
+    from voile.problem.contact import shell_layers
+
+    if not scene.contact.self_contact:
+        return None
+    layers = None
+    if shell is not None:
+        layers = shell_layers(shell, model.offset, scene.contact.self_friction)
+        if layers.caught:
+            model.notes.append(
+                f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a layer "
+                "caught between: they are not kept apart"
+            )
+    return comm.bcast(layers)
+
+
 def gathered(problem, local):
     """(n, ...) values in the input's order on rank 0 of each rank's local vertices; None elsewhere."""
     import numpy as np

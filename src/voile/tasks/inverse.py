@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from voile.inverse.pattern import write_rest_obj
 from voile.mesh import METRES, write_obj
 from voile.results import ResultWriter, StaticMesh
-from voile.tasks.common import gathered, on_root, rows, summarise, versions
+from voile.tasks.common import find_layers, gathered, on_root, rows, summarise, versions
 from voile.tasks.estimate import run_estimation
 from voile.tasks.patterns import (
     cut_apart,
@@ -36,6 +37,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     spec = scene.inverse
     shell = sew(_target_shell(model) if model else None, comm)
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
+    layers_of = partial(find_layers, scene, model, comm=comm)
     options = InverseOptions(
         spec.friction,
         spec.contact_tolerance,
@@ -55,7 +57,9 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         cut = cut_apart(shell, flat) if shell is not None and flat else None
         problem = Problem(cut, comm)
         coordinates = comm.bcast(flat.coordinates if flat else None)
-        result, found = solve_panels(problem, cut, coordinates, bodies, offset, options, *says)
+        result, found = solve_panels(
+            problem, cut, coordinates, bodies, offset, options, *says, layers=layers_of(cut)
+        )
         flat = moved(flat, found) if flat else None
     else:
         problem = Problem(shell, comm)
@@ -69,6 +73,7 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
             _borders(model),
             _guess(scene, model),
             progress.nearest,
+            layers_of(shell),
         )
     start = time.perf_counter()
     report = inverse_report(result)
@@ -186,7 +191,7 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
         folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
     ) as writer:
         at_target = rows(problem, target.rest.state(result.rest))
-        if target.obstacles:
+        if target.touches:
             own = problem.part.owned_vertices
             at_target["point_data"] = {name: values[own] for name, values in target.fields().items()}
             at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])

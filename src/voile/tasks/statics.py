@@ -3,14 +3,14 @@
 import time
 from pathlib import Path
 
-from voile.tasks.common import rows, summarise, versions
+from voile.tasks.common import find_layers, rows, summarise, versions
 from voile.tasks.progress import Progress
 
 
 def run_statics(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
     """Solves a statics scene (model: rank 0's) and writes its results to `folder`; the reason why it did not converge,
     or empty."""
-    from voile.problem.contact import attach, shell_layers
+    from voile.problem.contact import attach
     from voile.problem.discrete import Problem
     from voile.results import ResultWriter
     from voile.solver.path import StaticsOptions
@@ -24,15 +24,9 @@ def run_statics(scene, model, folder: Path, comm, progress: Progress, began: flo
     )
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
-    layers = None
-    if shell is not None and scene.contact.self_contact:
-        layers = shell_layers(shell, model.offset, scene.contact.self_friction)
-        if layers.caught:
-            model.notes.append(
-                f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a layer "
-                "caught between: they are not kept apart"
-            )
-    attach(problem, *comm.bcast((model.obstacles, model.offset, layers) if model else None))
+    layers = find_layers(scene, model, shell, comm)
+    bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
+    attach(problem, bodies, offset, layers)
     mesh = static_mesh(model, shell, problem.directors) if shell is not None else None
     writing, reached = 0.0, 0
     with ResultWriter(

@@ -1,0 +1,140 @@
+"""Where the target touches: its contacts with an obstacle or, in layers, with itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from voile.contact.pairs import Geometry
+from voile.contact.partners import OnObstacle
+from voile.contact.self_contact import Layers, OnItself, closest
+from voile.contact.state import Contact
+
+
+@dataclass
+class Touch:
+    """The c contacts with one partner (number `index` of Contact's) at the target, over s vertices each: their
+    Geometry, with gaps (m) before any offset; code (c,): what the partner knows them by; own (c,) marks those counted
+    on this rank."""
+
+    index: int
+    partner: OnObstacle | OnItself
+    geometry: Geometry
+    code: np.ndarray
+    own: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.code)
+
+    @property
+    def gap(self) -> np.ndarray:
+        return self.geometry.gap
+
+    @property
+    def steepness(self) -> np.ndarray:
+        """(c,) lengths of the gap's gradient."""
+        return np.linalg.norm(self.geometry.gradient, axis=1)
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(c, 3) unit normals."""
+        return self.geometry.gradient / self.steepness[:, None]
+
+    def bent(self) -> np.ndarray:
+        """(c, 3s, 3s) the gap's Hessian over its gradient's length (1/m)."""
+        return self.geometry.curvature / self.steepness[:, None, None]
+
+    @property
+    def stencil(self) -> np.ndarray:
+        """The vertices that reactions act on: (c,) local ones on an obstacle, else (c, s) of all vertices."""
+        vertex = self.geometry.vertex
+        return vertex[:, 0] if vertex.shape[1] == 1 else vertex
+
+    def local(self) -> np.ndarray:
+        """Local vertices that touch."""
+        return self.partner.touching(self.geometry.vertex, self.geometry.weight)
+
+    def along(self) -> np.ndarray:
+        """(local vertices,) distance (m) along edges from the nearest contact between layers."""
+        partner, vertex = self.partner, self.geometry.vertex[self.geometry.weight != 0.0]
+        assert isinstance(partner, OnItself)
+        if not len(vertex):
+            return np.full(len(partner.here), np.inf)
+        x, (i, j) = partner.layers.points, partner.layers.edges.T
+        links = sparse.csr_matrix((np.linalg.norm(x[j] - x[i], axis=1), (i, j)), shape=(len(x), len(x)))
+        return dijkstra(links, directed=False, indices=np.unique(vertex), min_only=True)[partner.here]
+
+    def relative(self, field: np.ndarray) -> np.ndarray:
+        """(c, 3, ...) of a field (local vertices, 3, ...): its value at a vertex on an obstacle, its jump between
+        layers."""
+        wide = self.partner.widen(field)
+        return np.einsum("cs,cs...->c...", self.geometry.weight, wide[self.geometry.vertex])
+
+    def spread(self, reaction: np.ndarray) -> np.ndarray:
+        """(local vertices, 3) forces of reactions (c, 3)."""
+        total = np.zeros((len(self.partner.free), 3))
+        forces = self.geometry.weight[:, :, None] * reaction[:, None]
+        np.add.at(total, self.geometry.vertex, forces)
+        return self.partner.narrow(total)
+
+    def over_vertices(self, block: np.ndarray) -> np.ndarray:
+        """(c, 3s, 3s) what blocks (c, 3, 3) of `relative` are over the vertices."""
+        weight = self.geometry.weight
+        size = 3 * weight.shape[1]
+        return np.einsum("cs,ct,cij->csitj", weight, weight, block).reshape(len(self), size, size)
+
+
+def find_touches(contact: Contact, x: np.ndarray, tolerance: float) -> list[Touch]:
+    """What is nearer than `tolerance` (m) to touching at x (local vertices, 3) m, one entry per partner."""
+    found = [_on_obstacle(contact, k, x, tolerance) for k in range(len(contact.obstacles))]
+    return [*found, _on_itself(contact, x, tolerance)] if contact.itself else found
+
+
+def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> Touch:
+    partner, state = contact.partners[k], contact.state
+    assert isinstance(partner, OnObstacle)
+    near = np.flatnonzero((partner.gaps(x, 0.0, state) < tolerance) & partner.free)
+    geometry = partner.geometry(near, x, 0.0, state)
+    geometry.gap += partner.offset[near]
+    return Touch(k, partner, geometry, near, partner.counted(near, state))
+
+
+def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> Touch:
+    """Of a vertex and triangles only where it is nearest: what surrounds that place holds nothing beside it."""
+    partner = contact.itself
+    assert partner is not None
+    wide, layers, index = partner.widen(x), partner.layers, len(contact.obstacles)
+    found = layers.find(wide, further=tolerance)
+    c, split = closest(found, wide), found.faces
+    near = (c.distance < layers.thickness + tolerance) & partner.free[found.vertex].any(axis=1)
+    near[:split] &= _nearest(found.vertex[:split], c.weight[:split], c.distance[:split])
+    rows = np.flatnonzero(near)
+    state = replace(contact.state, candidates=found)
+    geometry = partner.geometry(rows, wide, 0.0, state)
+    geometry.gap += layers.thickness
+    return Touch(index, partner, geometry, found.code[rows], partner.counted(rows, state))
+
+
+def _nearest(vertex: np.ndarray, weight: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """(p,) of pairs of a vertex and a triangle (p, 4): none whose closest point another triangle of that vertex has,
+    too, and comes nearer, or as near and before it."""
+    best: dict[tuple[int, ...], tuple[float, int]] = {}
+    mine = []
+    for row, (first, *corners) in enumerate(vertex.tolist()):
+        for count in range(1, 8):  # each choice of corners
+            key = (first, *sorted(c for k, c in enumerate(corners) if count >> k & 1))
+            best[key] = min(best.get(key, (np.inf, -1)), (distance[row], row))
+        mine.append((first, *sorted(c for c, w in zip(corners, weight[row, 1:], strict=True) if w != 0.0)))
+    return np.array([best[key][1] == row for row, key in enumerate(mine)], dtype=bool)
+
+
+def clearances(layers: Layers, x: np.ndarray, clearance: float) -> dict[int, float]:
+    """By code, the distance (m) that pairs at x (all n vertices, 3) nearer than their thickness keep: `clearance` (m)
+    less than they have."""
+    found = layers.find(x, further=clearance)
+    distance = closest(found, x).distance - clearance
+    near = distance < layers.thickness
+    return dict(zip(found.code[near].tolist(), distance[near].tolist(), strict=True))
