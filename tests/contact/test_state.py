@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from voile.contact.kept import Kept
 from voile.contact.obstacles import Plane, Sphere
 from voile.contact.state import Contact
 
@@ -57,6 +58,27 @@ def test_blocks_are_the_hessian_of_the_energy(friction):
     assert min(rates) > 1.8
     for _, block in contact.blocks(x, 1.0, convex=True):
         assert np.linalg.eigvalsh(block).min() >= -1e-12 * STIFFNESS
+
+
+def test_kept_contacts_are_springs_that_carry_their_reactions():
+    """Force and blocks derive from the energy; where the springs rest, the force is that of the reactions."""
+    contact, x = touching(0.3)
+    direction = 0.01 * np.random.default_rng(6).normal(size=x.shape)
+    contact.kept = Kept(contact, x, 1.0)
+    (springs,) = contact.kept.springs
+    assert contact.kept.bears and (springs.reaction != 0.0).any()
+    assert np.abs(springs.away(x)).max() > 1e-4  # m, off where they close without slip
+    force = contact.force(x, 1.0, frozen=True)
+    assert min(taylor_rates(lambda z: contact.energy(z, 1.0), -np.sum(force * direction), x, direction)) > 1.9
+    slope = np.zeros_like(x)
+    for vertex, block in contact.blocks(x, 1.0, convex=False):
+        slope[vertex] += np.einsum("pij,pj->pi", block, direction[vertex])
+    moved = force - contact.force(x + direction, 1.0, frozen=True)
+    assert np.abs(moved - slope).max() < 1e-9 * np.abs(slope).max()
+    springs.home = springs.home + springs.away(x)
+    resting = np.zeros_like(x)
+    resting[springs.vertex[:, 0]] = springs.reaction
+    assert np.abs(contact.force(x, 1.0, frozen=True) - resting).max() < 1e-12 * np.abs(resting).max()
 
 
 def one_vertex(

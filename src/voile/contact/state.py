@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from voile.contact.equations import Equations, Linearised
+from voile.contact.kept import Kept
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, barrier, outer, within
 from voile.contact.partners import OnObstacle
@@ -87,6 +88,7 @@ class Contact:
     itself: OnItself | None = None
     state: State = field(init=False)
     softness: float = 1.0  # factor on rho
+    kept: Kept | None = None  # whose potential stands in for the laws'
     seconds: float = 0.0  # spent on gaps and candidates
 
     def __post_init__(self) -> None:
@@ -208,6 +210,8 @@ class Contact:
 
     def energy(self, x: np.ndarray, factor: float) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
+        if self.kept:
+            return self.kept.energy(x)
         total = 0.0
         for p in self.pairs(x, factor, frozen=True):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
@@ -218,6 +222,8 @@ class Contact:
 
     def force(self, x: np.ndarray, factor: float, frozen: bool) -> np.ndarray:
         """(n, 3) projected trial reactions on the shell (N)."""
+        if self.kept and frozen:
+            return self.kept.force(x)
         total = np.zeros_like(x)
         for p in self.pairs(x, factor, frozen=frozen):
             normal, tangential = self.project(p, frozen)
@@ -228,6 +234,9 @@ class Contact:
 
     def blocks(self, x: np.ndarray, factor: float, convex: bool):
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
+        if self.kept:
+            yield from self.kept.blocks()
+            return
         for p in self.pairs(x, factor, frozen=True):
             _, push, stiff = self.guard(p)
             stiff += self.rho(p.index) * (p.lam_n > 0.0)

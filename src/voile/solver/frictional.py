@@ -9,12 +9,13 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
 
+from voile.contact.kept import Kept
 from voile.contact.state import State
 from voile.errors import InputError
 from voile.problem.anchor import Anchor, difference
@@ -40,6 +41,7 @@ FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 KICKS = 5  # attempts to leave a saddle
+SETTLED = 1e2  # tolerances, of the balance with all contacts kept
 ROUND_OFF = 10.0  # times round-off a norm may be due to it
 GONE = 1.0  # sizes of the shell after which it has slid away
 
@@ -88,7 +90,7 @@ class FrictionalSolver:
         later: list[Way] = [self._by_pseudo_time]
         if self.problem.supported:  # what nothing holds has no least potential
             later.insert(0, self._by_descent)
-        for way in [first, *later][:ways]:
+        for way in [first, self._keeping, *later][: ways + 1]:
             self.saddle = None
             outcome = self._attempt(way, y, wanted)
             if not outcome.converged and way is first and self._at_saddle():
@@ -114,6 +116,22 @@ class FrictionalSolver:
             self.saddle = y.copy(), self.contact.state.copy()
             return Outcome(False, "semismooth", "the semismooth Newton method ended at a saddle")
         return Outcome(done, "semismooth", "" if done else self._missed(y))
+
+    def _keeping(self, y: PETSc.Vec, wanted: float) -> Outcome:
+        """The semismooth method once the shell has settled around contacts that stay as they were: where it alone is
+        disturbed, far from balance, the laws would first let go of them."""
+        contact, problem = self.contact, self.problem
+        kept = Kept(contact, problem.positions(y), problem.load_factor)
+        if problem.everywhere(not kept.bears):
+            return Outcome(False, "kept contacts", "nothing bears")
+        self.newton.descend, contact.kept = True, kept
+        try:
+            settled = self._run(self.newton, y, SETTLED * wanted, DESCENT)
+        finally:
+            contact.kept = None
+        if not settled:
+            return Outcome(False, "kept contacts", self._missed(y))
+        return replace(self._directly(y, wanted), way="kept contacts")
 
     def _by_complementarity(self, y: PETSc.Vec, wanted: float) -> Outcome:
         """SNESVI, then a step of the semismooth method for the inertia."""
