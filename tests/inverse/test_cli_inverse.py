@@ -10,6 +10,8 @@ from inverse_shells import folded_skirt, grid
 from test_direct import tube
 from test_panels import cone_skirt
 
+from voile.cli import main
+from voile.inverse import solve
 from voile.mesh import read_mesh, write_obj
 from voile.results import read_result
 
@@ -124,6 +126,18 @@ def test_a_soft_skirt_on_a_rod_ends_in_the_nearest_stable_shape(tmp_path):
         assert moved == pytest.approx(
             found["nearest"]["sag"] * np.linalg.norm(np.ptp(result.start, axis=0)), rel=1e-6
         )
+
+
+def test_a_rest_shape_is_kept_before_it_is_proved(on_a_rod, monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(solve, "simulate", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        main(["run", str(on_a_rod / "scene.toml"), "-o", str(on_a_rod / "out")])
+    rest, target = (read_mesh(on_a_rod / name).points for name in ("out/rest.obj", "target.obj"))
+    assert 1e-6 < np.abs(rest - target).max() < 1e-3
+    assert (on_a_rod / "out" / "pattern.dxf").stat().st_size > 1000
 
 
 def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun):

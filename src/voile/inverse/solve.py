@@ -136,12 +136,13 @@ def solve_inverse(
     guess: np.ndarray | None = None,
     on_nearest: NearestProgress | None = None,
     layers: Layers | None = None,
+    on_found: Callable[[PETSc.Vec], None] | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface, and on its own `layers` where they are in each other's way. exempt: vertices of
     the shell that may have an angle defect in a developable rest shape, beside boundaries and seams; guess (n, 3) m:
-    rest positions to start from. exempt and guess on rank 0. Raises NotConverged where no reactions can hold the
-    target."""
+    rest positions to start from. exempt and guess on rank 0. on_found takes the rest shape before its proof. Raises
+    NotConverged where no reactions can hold the target."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
@@ -173,6 +174,9 @@ def solve_inverse(
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
         nearest = None
     searched = time.perf_counter()
+    if on_found:
+        on_found(z)
+    proving = time.perf_counter()
     simulation = simulate(target, z, options.tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, options.tolerance, disturbed=True)
     held = simulate(target, z, options.tolerance, start=nearest.state) if nearest else None
@@ -184,7 +188,7 @@ def solve_inverse(
         target.load(path.fraction)
         eigenvalue, mode = target.smallest(z)
         mode = path.mode or mode
-    seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
+    seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
         nearest=nearest, held=held, guess=away,
@@ -259,9 +263,11 @@ def solve_panels(
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
     layers: Layers | None = None,
+    on_found: Callable[[np.ndarray], None] | None = None,
 ) -> tuple[InverseResult, np.ndarray]:
     """As `solve_inverse` with flat panels, the problem's rest shape, whose 2D coordinates (p, 2) m, given on every
-    rank, are the design variables: the panels that drape nearest to the target, and their coordinates."""
+    rank, are the design variables: the panels that drape nearest to the target, and their coordinates, which on_found
+    takes."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
@@ -278,9 +284,12 @@ def solve_panels(
         panels,
     )
     z, searched = adjoint.rest, time.perf_counter()
+    if on_found:
+        on_found(panels.coordinates(z))
+    proving = time.perf_counter()
     simulation = simulate(target, z, options.tolerance, panels=panels, eigenvalue=True)
     disturbed = simulate(target, z, options.tolerance, panels=panels, disturbed=True)
-    seconds = {"inverse": searched - began, "proof": time.perf_counter() - searched}
+    seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     still = problem.create_vector()
     result = InverseResult(
         target, still, path, adjoint, path.residual, simulation.eigenvalue, still, simulation, disturbed, seconds,

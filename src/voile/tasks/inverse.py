@@ -3,7 +3,6 @@
 import math
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +29,11 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
     if scene.inverse.estimate:
         return run_estimation(scene, model, folder, comm, progress, began)
-    from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse, solve_panels
-    from voile.problem.discrete import Problem
+    from voile.inverse.solve import InverseOptions, inverse_report
     from voile.solver.sewing import sew
 
     spec = scene.inverse
     shell = sew(_target_shell(model) if model else None, comm)
-    bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
-    layers_of = partial(find_layers, scene, model, comm=comm)
     options = InverseOptions(
         spec.friction,
         spec.contact_tolerance,
@@ -48,37 +44,13 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         spec.iterations,
         developable=spec.developable == "constraint",
     )
-    says = progress.fraction, progress.optimisation
-    flat = None
-    if spec.developable == "panels":
-        flat = on_root(
-            comm, lambda: lay_flat(model, shell, _sewn(shell), apart=True) if shell is not None else None
-        )
-        cut = cut_apart(shell, flat) if shell is not None and flat else None
-        problem = Problem(cut, comm)
-        coordinates = comm.bcast(flat.coordinates if flat else None)
-        result, found = solve_panels(
-            problem, cut, coordinates, bodies, offset, options, *says, layers=layers_of(cut)
-        )
-        flat = moved(flat, found) if flat else None
-    else:
-        problem = Problem(shell, comm)
-        result = solve_inverse(
-            problem,
-            shell,
-            bodies,
-            offset,
-            options,
-            *says,
-            _borders(model),
-            _guess(scene, model),
-            progress.nearest,
-            layers_of(shell),
-        )
     start = time.perf_counter()
-    report = inverse_report(result)
-    report["pattern"] = _write_rest(scene, model, shell, folder, result, flat, comm)
-    seconds = {**problem.seconds, **result.seconds, "input_output": time.perf_counter() - start}
+    solve = _solve_panels if spec.developable == "panels" else _solve_surface
+    result, flat, figures = solve(scene, model, shell, folder, options, comm, progress)
+    problem, report = result.target.problem, inverse_report(result) | {"pattern": figures}
+    _write_result(scene, model, shell, folder, result, flat, comm)
+    rest = time.perf_counter() - start - sum(result.seconds.values())
+    seconds = {**problem.seconds, **result.seconds, "input_output": rest}
     summarise(
         scene, model, problem, result.simulation.path, folder, seconds, began, result=result, inverse=report
     )
@@ -87,6 +59,68 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         f"{result.reason}"
     )
     return "" if result.converged else result.reason
+
+
+def _solve_surface(scene, model, shell, folder: Path, options, comm, progress: Progress) -> tuple:
+    """The result, None, and the pattern's figures of a rest surface, whose files are written before its proof: a long
+    simulation may be stopped."""
+    from voile.inverse.solve import solve_inverse
+    from voile.problem.discrete import Problem
+
+    problem, figures = Problem(shell, comm), None
+    bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
+
+    def write(z) -> None:
+        nonlocal figures
+        rest = gathered(problem, problem.positions(problem.create_vector()) + problem.motion(z))
+        figures = on_root(comm, lambda: _write_surface(scene, model, shell, folder, rest))
+
+    result = solve_inverse(
+        problem,
+        shell,
+        bodies,
+        offset,
+        options,
+        progress.fraction,
+        progress.optimisation,
+        _borders(model),
+        _guess(scene, model),
+        progress.nearest,
+        find_layers(scene, model, shell, comm),
+        write,
+    )
+    return result, None, figures
+
+
+def _solve_panels(scene, model, shell, folder: Path, options, comm, progress: Progress) -> tuple:
+    """As `_solve_surface`, of flat panels, the second value (rank 0)."""
+    from voile.inverse.solve import solve_panels
+    from voile.problem.discrete import Problem
+
+    flat = on_root(comm, lambda: lay_flat(model, shell, _sewn(shell), apart=True))
+    cut, figures = on_root(comm, lambda: cut_apart(shell, flat)), None
+    problem = Problem(cut, comm)
+    bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
+    target = gathered(problem, problem.positions(problem.create_vector()))
+
+    def write(coordinates: np.ndarray) -> None:
+        nonlocal flat, figures
+        flat = on_root(comm, lambda: moved(flat, coordinates))
+        figures = on_root(comm, lambda: _write_panels(scene, shell, folder, flat, target))
+
+    result, _ = solve_panels(
+        problem,
+        cut,
+        comm.bcast(flat.coordinates if flat else None),
+        bodies,
+        offset,
+        options,
+        progress.fraction,
+        progress.optimisation,
+        find_layers(scene, model, cut, comm),
+        write,
+    )
+    return result, flat, figures
 
 
 def _target_shell(model):
@@ -151,40 +185,51 @@ def _kept(values: dict, keep: np.ndarray | None) -> dict:
     return kept
 
 
-def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict | None:
-    """result.vtkhdf (the target, then the simulation from it, with the rest shape found), rest.obj and the pattern;
-    flat: panels, where they were asked for. The pattern's figures."""
+def _title(scene) -> str:
+    return f"rest shape of {scene.scene.name or scene.path}"
+
+
+def _up(shell) -> np.ndarray | None:
+    return -shell.gravity if shell.gravity.any() else None
+
+
+def _write_panels(scene, shell, folder: Path, flat, target: np.ndarray) -> dict:
+    """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
+    pattern = draw(flat, scene.inverse.seam_allowance, _up(shell))
+    write_rest_obj(folder / "rest.obj", flat.panels, pattern, target[first_copies(flat)], _title(scene))
+    return write_pattern_files(folder, pattern)
+
+
+def _write_surface(scene, model, shell, folder: Path, rest: np.ndarray) -> dict:
+    """rest.obj of a rest shape (n, 3) m and the pattern of least distortion; the pattern's figures."""
+    s = model.surface
+    write_obj(
+        folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
+        comment=f"{METRES}\n{_title(scene)}",
+    )  # fmt: skip
+    shell = replace(shell, rest_points=rest)
+    return pattern_of_surface(folder, model, shell, rest, scene.inverse.seam_allowance, _up(shell))
+
+
+def _write_result(scene, model, shell, folder: Path, result, flat, comm) -> None:
+    """result.vtkhdf: the target, then the simulation from it, with the rest shape found; flat: panels, where they were
+    asked for."""
     problem, target = result.target.problem, result.target
     keep = comm.bcast(_standing(flat))
-    start = gathered(problem, target.x)
     rest = gathered(problem, target.x + problem.motion(result.rest))
     mode = gathered(problem, problem.motion(result.mode))
     mesh: StaticMesh | None = None
-    figures: dict | None = None
     if comm.rank == 0:
         if result.trade:
             from voile.post.trade import draw_trade
 
             draw_trade(folder / "developability.png", result.trade)
-        s, name = model.surface, f"rest shape of {scene.scene.name or scene.path}"
-        up: np.ndarray | None = -shell.gravity if shell.gravity.any() else None
-        allowance = scene.inverse.seam_allowance
         if flat:
-            first = first_copies(flat)
-            start, mode = start[first], mode[first]
+            mode = mode[first_copies(flat)]
             flat_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
             shell = replace(shell, rest_points=flat_points, rest_triangles=flat.panels.corners, flat=True)
-            pattern = draw(flat, allowance, up)
-            figures = write_pattern_files(folder, pattern)
-            write_rest_obj(folder / "rest.obj", flat.panels, pattern, start, name)
         else:
             shell = replace(shell, rest_points=rest)
-            assert rest is not None  # gathered here
-            figures = pattern_of_surface(folder, model, shell, rest, allowance, up)
-            write_obj(
-                folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
-                comment=f"{METRES}\n{name}",
-            )  # fmt: skip
         mesh = static_mesh(model, shell, problem.directors and not flat)
         mesh = replace(mesh, point_data={**mesh.point_data, "mode": mode})
     with ResultWriter(
@@ -204,4 +249,3 @@ def _write_rest(scene, model, shell, folder: Path, result, flat, comm) -> dict |
                 residual = path.steps[-1].residual if path.steps else math.nan
                 scalars = {"residual": residual, "converged": float(path.converged)}
                 writer.write_step(step, scalars=scalars, **_kept(_at_end(problem, simulation), keep))
-    return figures
