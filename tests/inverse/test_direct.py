@@ -123,6 +123,26 @@ def test_tube_on_a_rod_needs_friction_and_is_held_by_it():
     assert step["friction_error"] < 1e-8 and step["slip"] == 0
 
 
+@pytest.mark.parametrize("joints", [1, 2])
+def test_a_part_that_hangs_by_a_vertex_or_two_is_refused(joints):
+    """It turns freely about them; supported it is part of the shell."""
+    shape = hanging_sheet()
+    n = len(shape.points)
+    corner = int(np.argmax(shape.points[:, 0] + shape.points[:, 1]))
+    other = corner - 2  # on the same boundary, two vertices on
+    middle = 0.5 * (shape.points[corner] + shape.points[other])
+    flap = np.array([shape.points[corner], middle]) + np.array([0.02, 0.0, 0.0])
+    points = np.concatenate([shape.points, flap])
+    strip = [[corner, n, n + 1], [corner, n + 1, other]][:joints]
+    triangles = np.concatenate([shape.triangles, strip]).astype(np.int32)
+    fixed = np.concatenate([shape.fixed, np.zeros((2, 3), dtype=bool)])
+    by = [corner] if joints == 1 else [other, corner]
+    with pytest.raises(NotConverged, match=f"hangs by vertex {' and '.join(map(str, by))} alone"):
+        solve(shell(points, triangles, fixed, young=1e7))
+    fixed[n:] = True
+    assert solve(shell(points, triangles, fixed, young=1e7)).converged
+
+
 def test_tube_on_a_smooth_rod_is_refused():
     with pytest.raises(NotConverged, match="no reactions in the cones"):
         solve(on_rod(), [rod(0.0)])

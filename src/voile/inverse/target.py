@@ -21,7 +21,7 @@ from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell
-from voile.problem.supports import free_motions
+from voile.problem.supports import free_motions, hinged_parts
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
@@ -71,6 +71,7 @@ class Target:
         self.firmness = HOLDS[0] * self.membrane  # N/m, of the spring that holds rest positions at contacts
         self.least_friction: float | None = None
         self._used = self.cones
+        self._check_hinges(comm.bcast(hinged_parts(shell) if shell is not None else None))
         self._settle_friction()
 
     # ---- contacts ----
@@ -150,6 +151,19 @@ class Target:
         if least is not None:
             reserve = RESERVE * np.maximum(cones.friction - least, 0.0)
             self._used = cones.scaled(cones.friction - reserve)
+
+    def _check_hinges(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Raises NotConverged for a part that hangs by one or two vertices and touches nothing."""
+        problem = self.problem
+        touching = problem.part.vertex[self.touching()]
+        for joints, vertices in parts:
+            if problem.everywhere(not np.isin(vertices, touching).any()):
+                hinge = " and ".join(map(str, joints))
+                raise NotConverged(
+                    f"the part of the target with vertex {min(vertices)} ({len(vertices)} vertices) hangs by vertex "
+                    f"{hinge} alone and turns freely: no rest shape holds it as it is; join it along an edge, support "
+                    "it, or leave it out"
+                )
 
     def _no_reactions(self, balance: Balance) -> str:
         count = self.problem.comm.allreduce(int(balance.own.sum()))

@@ -46,6 +46,26 @@ def free_motions(shell: Shell) -> np.ndarray:
     return np.stack(found, axis=2) if found else np.zeros((len(shell.points), 3, 0))
 
 
+def hinged_parts(shell: Shell) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Parts of the shell without supports that hang on the rest by one vertex or two alone, about which they turn
+    freely: those and all the part's."""
+    t, n = shell.triangles, len(shell.points)
+    sides = np.sort(t[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edge = np.unique(sides, axis=0, return_inverse=True)[1].ravel()
+    across = sp.csr_matrix((np.ones(len(edge)), (np.repeat(np.arange(len(t)), 3), edge)))
+    count, part = connected_components(across @ across.T, directed=False)
+    member = sp.csr_matrix((np.ones(t.size), (np.repeat(part, 3), t.ravel())), shape=(count, n)).astype(bool)
+    joint = np.asarray(member.sum(axis=0)).ravel() > 1
+    joint[np.concatenate([shell.slave, shell.first, shell.second])] = True
+    found = []
+    for k in range(count if count > 1 else 0):
+        vertices = member[k].indices
+        at = vertices[joint[vertices]]
+        if 1 <= len(at) <= 2 and not shell.fixed[vertices].any():
+            found.append((at, vertices))
+    return found
+
+
 def _pieces(shell: Shell) -> np.ndarray:
     """(n,) index of each vertex's piece; vertices of no triangle are pieces of their own."""
     n = len(shell.points)
