@@ -102,6 +102,15 @@ def test_taylor_of_rest_shape_and_parameters(model):
 
 
 @each_model
+def test_mixed_derivative_along_a_rate(model):
+    shell, z, _ = random_problem(model)
+    rate = np.random.default_rng(5).normal(size=(len(shell.triangles), 6))
+    expected = np.einsum("ti,tij->tj", rate, shell.kernel.mixed(*shell.state(z))[0])
+    along = shell.kernel.mixed_along(*shell.state(z), rate)
+    assert abs(along - expected).max() < 1e-13 * abs(expected).max()
+
+
+@each_model
 def test_safe_hessian(model):
     shell, z, _ = random_problem(model)
     safe = shell.hessian(z, "safe").toarray()

@@ -256,6 +256,31 @@ class ElasticModel final : public Elastic {
     }
   }
 
+  void mixed_along(State state, const double* rate, double* slope) override {
+    using D = Dual<Real, 6>;
+    using T = Dual<D, 1>;  // inner: by q_rest; outer: along the rate of q
+    for (size_t b = 0; b < blocks.size(); ++b) {
+      const Block& block = blocks[b];
+      Local w = local(block, state);
+      const Rest& r = rest[b];
+      auto rate_of = [&](int k) {
+        return gather(
+            [&](int lane) { return rate[6 * (block.first + std::min(lane, block.count - 1)) + k]; });
+      };
+      Invariants<T> q = lift<T>(w.q), qr;
+      for (int i = 0; i < 3; ++i) {
+        Real turn = rate_of(3 + i);
+        q.l[i].d[0] = D(rate_of(i)), q.s[i].d[0] = D(w.q.c[i] * turn), q.c[i].d[0] = D(-w.q.s[i] * turn);
+        qr.l[i] = T(variable<6>(r.q.l[i], i));
+        qr.s[i] = T(wave<6>(r.q.s[i], r.q.c[i], 3 + i)), qr.c[i] = T(wave<6>(r.q.c[i], -r.q.s[i], 3 + i));
+      }
+      auto e = model_energy<Model, T>(q, w.dl, r, qr, lift<T>(r.fabric));
+      T sum = e.stretching + e.bending;
+      for (int lane = 0; lane < block.count; ++lane)
+        for (int k = 0; k < 6; ++k) slope[6 * ((size_t)block.first + lane) + k] = sum.d[0].d[k][lane];
+    }
+  }
+
   void invariants_jacobian(State state, double* jacobian) override {
     for (const Block& block : blocks)
       store_jacobian<Model>(block, local(block, state), true, Model::directors, jacobian);

@@ -69,6 +69,8 @@ class Elastic {
   // Per triangle: second derivatives of W with respect to q (6) and q_rest (6): (m, 6, 6), and to thickness,
   // Young's modulus, Poisson's ratio: (m, 6, 3); first derivatives to those three: (m, 3).
   virtual void mixed(State state, double* q_rest, double* q_fabric, double* fabric) = 0;
+  // A rate of q (m, 6) times what `mixed` gives for q_rest, at a tenth of its cost: (m, 6).
+  virtual void mixed_along(State state, const double* rate, double* slope) = 0;
   // dq/dx in 18 + 3 columns per triangle: own corners, vertices across edges, edges: (m, 6, 21).
   virtual void invariants_jacobian(State state, double* jacobian) = 0;
   // The same at the rest shape (columns: rest vertices; the directors' columns are those of alpha_rest).

@@ -142,6 +142,12 @@ static void bind_model(nb::module_& m) {
                                    to_numpy(std::move(b), {s.count(), 6, 3}),
                                    to_numpy(std::move(c), {s.count(), 3}));
            })
+      .def("mixed_along",
+           [](Model& s, Doubles u, Doubles phi, Doubles rate) {
+             std::vector<double> slope(6 * s.count());
+             s.elastic->mixed_along(s.state(u, phi), sized(rate, slope.size(), "rate"), slope.data());
+             return to_numpy(std::move(slope), {s.count(), 6});
+           })
       .def("invariants_jacobian",
            [](Model& s, Doubles u, Doubles phi) {
              std::vector<double> j(126 * s.count());

@@ -46,6 +46,24 @@ def test_the_residual_by_the_rest_shape_is_exact_to_second_order(bending, build)
     np.testing.assert_allclose(np.log10(left[:-1] / left[1:]), 2.0, atol=0.1)
 
 
+@pytest.mark.parametrize("build", [hanging_sheet, panels])
+def test_pulling_without_the_matrix_is_its_transpose(build):
+    problem = Problem(build(bending="tan"), MPI.COMM_SELF)
+    rest = RestShape(problem)
+    rest.set(wave(problem, 1.0, 3e-4))
+    y, w, v = wave(problem, 2.3, 2e-4), wave(problem, 0.7, 1.0), wave(problem, 1.3, 1.0)
+    v.array[~rest.is_vertex] = 0.0
+    rest.linearise(y)
+    alone = rest.pull(w)  # by the kernels' product
+    pushed = rest.push(v)  # assembles
+    assembled = rest.pull(w)
+    assert abs(alone.dot(v) - pushed.dot(w)) < 1e-12 * alone.norm() * v.norm()
+    assert (alone - assembled).norm() < 1e-13 * alone.norm()
+    rest.set(wave(problem, 1.0, 6e-4))
+    rest.linearise(y)
+    assert (rest.pull(w) - assembled).norm() > 1e-3 * alone.norm()  # a new derivative, not the old matrix
+
+
 @pytest.mark.parametrize("name", ["thickness", "young", "poisson", "density"])
 def test_the_residual_by_each_parameter_is_exact_to_second_order(name):
     problem = Problem(hanging_sheet(bending="tan"), MPI.COMM_SELF)

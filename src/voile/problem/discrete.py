@@ -270,7 +270,7 @@ class Problem:
         if self.anchor:
             self.anchor.add_to(matrix)
 
-    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks) -> None:
+    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks = ()) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
         self._assembly.prepare(matrix, self.kernel, at_vertices)
         self._assembly.scatter.assemble(blocks)

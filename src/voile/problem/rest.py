@@ -1,5 +1,7 @@
 """The rest shape as unknowns, on the layout of the displacements: dR/dX by the kernels' mixed derivatives."""
 
+from functools import cached_property
+
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -31,21 +33,53 @@ def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * size, 0.5 * np.cross(unit[:, None, :], opposite)
 
 
-def rest_blocks(problem: Problem, y: PETSc.Vec) -> np.ndarray:
-    """(m, 21, 21) dR/dX per triangle at the state y: rows forces, columns rest positions of its corners and of those
-    across its edges, masses included; director columns are zero."""
-    part, kernel = problem.part, problem.kernel
-    u, phi = problem._shape(y)
-    q_rest, _, _ = kernel.mixed(u, phi)
-    rest = kernel.rest_jacobian()
-    rest[:, :, 18:] = 0.0
-    blocks = np.matmul(kernel.invariants_jacobian(u, phi).transpose(0, 2, 1), np.matmul(q_rest, rest))
-    thickness, _, _, density = part.fabric
-    per_area = problem.load_factor * thickness * density / 3.0
-    gradient = rest_areas(part)[1].reshape(-1, 9)
-    force = np.tile(problem.gravity, 3)
-    blocks[:, :9, :9] -= per_area[:, None, None] * force[None, :, None] * gradient[:, None, :]
-    return np.ascontiguousarray(blocks)
+class RestDerivative:
+    """dR/dX per triangle at the state y, masses included, by the kernels' products.
+
+    left (m, 6, 21): invariants by corners, vertices across edges and directors; right (m, 6, 18): rest invariants by
+    rest positions of corners and vertices across; masses (m, 9): of a third of the triangle by its corners (kg/m).
+    """
+
+    def __init__(self, problem: Problem, y: PETSc.Vec):
+        part, self.kernel = problem.part, problem.kernel
+        self.shape = problem._shape(y)
+        self.left = self.kernel.invariants_jacobian(*self.shape)
+        self.right = self.kernel.rest_jacobian()[:, :, :18]
+        thickness, _, _, density = part.fabric
+        per_area = problem.load_factor * thickness * density / 3.0
+        self.masses = per_area[:, None] * rest_areas(part)[1].reshape(-1, 9)
+        self.gravity = np.tile(problem.gravity, 3)
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """(m, 6, 6) second derivatives of the energy by the invariants and the rest invariants. They cost more than
+        a forward solve's tangent, so `pull` does without, for a gradient alone."""
+        return self.kernel.mixed(*self.shape)[0]
+
+    def blocks(self) -> np.ndarray:
+        """(m, 21, 21): rows forces, columns rest positions; those of directors are zero."""
+        blocks = np.zeros((len(self.left), 21, 21))
+        blocks[:, :, :18] = np.matmul(self.left.transpose(0, 2, 1), np.matmul(self.middle, self.right))
+        blocks[:, :9, :9] -= self.gravity[:, None] * self.masses[:, None, :]
+        return blocks
+
+    def push(self, motion: np.ndarray) -> np.ndarray:
+        """(m, 21) forces (N) from rest displacements (m, 18) of corners and vertices across (m)."""
+        rate = np.matmul(self.middle, np.matmul(self.right, motion[:, :, None]))
+        force = np.matmul(rate.transpose(0, 2, 1), self.left)[:, 0]
+        force[:, :9] -= np.sum(self.masses * motion[:, :9], axis=1)[:, None] * self.gravity
+        return force
+
+    def pull(self, motion: np.ndarray) -> np.ndarray:
+        """(m, 18): displacements and turns (m, 21) times the derivative."""
+        rate = np.matmul(self.left, motion[:, :, None])[:, :, 0]
+        if "middle" in self.__dict__:
+            rate = np.matmul(rate[:, None], self.middle)[:, 0]
+        else:
+            rate = self.kernel.mixed_along(*self.shape, rate)
+        slope = np.matmul(rate[:, None], self.right)[:, 0]
+        slope[:, :9] -= (motion[:, :9] @ self.gravity)[:, None] * self.masses
+        return slope
 
 
 class RestShape:
@@ -68,7 +102,9 @@ class RestShape:
         self.is_vertex[columns[columns < part.owned]] = True
         self.set(zero)
         self._area0 = rest_areas(part)[0]
+        self._derivative: RestDerivative | None = None
         self._matrix: PETSc.Mat | None = None
+        self._assembled = False
 
     def set(self, z: PETSc.Vec) -> None:
         """Gives the problem the rest shape of z, with its masses."""
@@ -83,7 +119,7 @@ class RestShape:
     def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat, at_vertices: Blocks = ()) -> None:
         """Writes dR/dX at the state y to a `create_matrix` matrix, masses included; director columns are zero.
         at_vertices: (indices, (p, 3, 3) N/m) to be added."""
-        self.problem.assemble(matrix, rest_blocks(self.problem, y), at_vertices)
+        self.problem.assemble(matrix, RestDerivative(self.problem, y).blocks(), at_vertices)
 
     def fabric_derivative(self, y: PETSc.Vec, name: str) -> PETSc.Vec:
         """dR/dp for one factor p on the thickness, Young's modulus (per unit, absolute), Poisson's ratio or density
@@ -123,24 +159,33 @@ class RestShape:
         return weight
 
     def linearise(self, y: PETSc.Vec) -> None:
-        """Takes dR/dX at the state y for `push` and `pull`."""
-        if self._matrix is None:
-            self._matrix = self.problem.create_matrix()
-            self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
-        self.jacobian(y, self._matrix)
+        """Takes dR/dX at the state y for `push` and `pull`; assembled where `push` is asked for, as products then
+        are."""
+        self._derivative, self._assembled = RestDerivative(self.problem, y), False
 
     def push(self, v: PETSc.Vec) -> PETSc.Vec:
         """dR/dX v (N)."""
-        assert self._matrix is not None
+        assert self._derivative is not None
+        if self._matrix is None:
+            self._matrix = self.problem.create_matrix()
+            self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
+        if not self._assembled:
+            self.problem.assemble(self._matrix, self._derivative.blocks())
+            self._assembled = True
         force = v.duplicate()
         self._matrix.mult(v, force)
         return force
 
     def pull(self, w: PETSc.Vec) -> PETSc.Vec:
         """w^T dR/dX."""
-        assert self._matrix is not None
-        out = w.duplicate()
-        self._matrix.multTranspose(w, out)
+        assert self._derivative is not None
+        if self._matrix and self._assembled:
+            out = w.duplicate()
+            self._matrix.multTranspose(w, out)
+        else:
+            slope = np.zeros((len(self.problem.part.corners), 21))
+            slope[:, :18] = self._derivative.pull(self.problem.spread_triangles(w))
+            out = self.problem.gather_triangles(slope)
         out.array[~self.is_vertex] = 0.0
         return out
 
@@ -158,7 +203,7 @@ class PanelRest:
 
     def __init__(self, problem: Problem, base: np.ndarray):
         self.problem, self.base = problem, base
-        self._blocks = np.zeros(0)
+        self._derivative: RestDerivative | None = None
         self.set(self.create())
         self._area0 = self._signed()
 
@@ -198,18 +243,21 @@ class PanelRest:
 
     def linearise(self, y: PETSc.Vec) -> None:
         """Takes dR/dX at the state y for `push` and `pull`."""
-        self._blocks = rest_blocks(self.problem, y)[:, :, :9].reshape(-1, 21, 3, 3)[:, :, :, :2]
+        self._derivative = RestDerivative(self.problem, y)
 
     def push(self, v: PETSc.Vec) -> PETSc.Vec:
         """dR/dX v (N)."""
+        assert self._derivative is not None
         part = self.problem.part
-        moved = self._everywhere(v)[part.rest_vertex][part.rest_corners]
-        return self.problem.gather_triangles(np.einsum("tfcd,tcd->tf", self._blocks, moved))
+        moved = np.zeros((len(part.corners), 6, 3))
+        moved[:, :3, :2] = self._everywhere(v)[part.rest_vertex][part.rest_corners]
+        return self.problem.gather_triangles(self._derivative.push(moved.reshape(-1, 18)))
 
     def pull(self, w: PETSc.Vec) -> PETSc.Vec:
         """w^T dR/dX."""
+        assert self._derivative is not None
         part, out = self.problem.part, self.create()
-        slope = np.einsum("tfcd,tf->tcd", self._blocks, self.problem.spread_triangles(w))
+        slope = self._derivative.pull(self.problem.spread_triangles(w))[:, :9].reshape(-1, 3, 3)[:, :, :2]
         slope *= part.weight[:, None, None]  # each triangle on one rank
         total = np.zeros_like(self.base)
         np.add.at(total, part.rest_vertex[part.rest_corners], slope)
