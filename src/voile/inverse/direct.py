@@ -40,7 +40,7 @@ class DirectStep:
 class DirectPath:
     """The outcome. `rest`: rest displacements and director angles of the last stable step, at load `fraction`;
     `reason` says what ended the path before the full load; `critical`: fraction at which stability is lost, and `mode`,
-    there, the shape of the instability (unknowns, largest entry 1)."""
+    there, the shape of the instability (unknowns, largest entry 1); step: the next, a fraction of the load."""
 
     rest: PETSc.Vec
     fraction: float = 0.0
@@ -50,6 +50,7 @@ class DirectPath:
     mode: PETSc.Vec | None = None
     residual: float = math.nan
     iterations: int = 0
+    step: float = 1.0
     steps: list[DirectStep] = field(default_factory=list)
 
 
@@ -78,28 +79,28 @@ class Direct:
         on_step: Progress | None = None,
         guess: PETSc.Vec | None = None,
         smallest: float = SMALLEST,
+        path: DirectPath | None = None,
     ) -> DirectPath:
         """The branch from the target itself without load to the full load, or to where it ends. guess: rest
-        displacements from which the full load is tried first; smallest: step, a fraction of the load."""
-        z = self.problem.create_vector()
-        path = DirectPath(rest=z.copy())
-        if guess is not None and self._take(guess, path, on_step):
-            return path
-        step = 1.0
-        while path.fraction < 1.0:
-            fraction = min(1.0, path.fraction + step)
+        displacements from which the full load is tried first; smallest: step, a fraction of the load; path: one that
+        ended in larger steps, to go on with."""
+        z, lost = self.problem.create_vector(), None
+        if path is None:
+            path = DirectPath(rest=z.copy())
+            if guess is not None and self._take(guess, path, on_step):
+                return path
+        while path.fraction < 1.0 and path.step >= smallest:
+            fraction = min(1.0, path.fraction + path.step)
             path.rest.copy(z)
             reason, norm, iterations = self.solve(z, fraction)
             path.iterations += iterations
             negative = None if reason else self.negative(z)
             if reason or negative:
-                step *= 0.5
+                path.step *= 0.5
                 if negative:
-                    path.critical, path.mode = fraction, self.target.softest_mode(z)
+                    path.critical, lost = fraction, z.copy()
                     reason = f"stability is lost between {path.fraction:.4g} and {fraction:.4g} of the load"
                 path.reason = reason
-                if step < smallest:
-                    break
                 continue
             assert negative is not None
             path.fraction, path.residual = fraction, norm
@@ -107,17 +108,21 @@ class Direct:
             path.steps.append(DirectStep(fraction, iterations, norm, negative))
             if on_step:
                 on_step(path.steps[-1])
-            if path.critical is None and iterations <= EASY:
-                step *= 2.0
-            elif path.critical is not None:
-                step = min(step, 0.5 * (path.critical - fraction))
-                if step < smallest:
-                    break
+            if path.critical is not None:
+                path.step = min(path.step, 0.5 * (path.critical - fraction))
+            elif iterations <= EASY:
+                path.step *= 2.0
         path.converged = path.fraction >= 1.0
-        self.target.load(path.fraction)
-        self.rest.set(path.rest)
-        self.target.hold(path.rest)
+        if lost is not None and path.critical is not None:
+            self._go_to(lost, path.critical)
+            path.mode = self.target.softest_mode(lost)
+        self._go_to(path.rest, path.fraction)
         return path
+
+    def _go_to(self, z: PETSc.Vec, fraction: float) -> None:
+        self.target.load(fraction)
+        self.rest.set(z)
+        self.target.hold(z)
 
     def _take(self, guess: PETSc.Vec, path: DirectPath, on_step: Progress | None) -> bool:
         """Whether Newton's method from a guess ends stable under the full load; then the path is complete."""
@@ -130,8 +135,7 @@ class Direct:
         path.steps.append(DirectStep(1.0, iterations, norm, 0))
         if on_step:
             on_step(path.steps[-1])
-        self.rest.set(z)
-        self.target.hold(z)
+        self._go_to(z, 1.0)
         return True
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:

@@ -29,7 +29,7 @@ from voile.inverse.verify import sag
 
 MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
-SLIGHT = 1e-4  # sag over the size from which less margin is not tried
+SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
@@ -159,12 +159,12 @@ class Nearest:
         """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
         there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
         those win little; less, where the next step of the way fails, and no more than a share `exact` at its end, where
-        there are so many steps left."""
+        the sag is more than slight and so many steps are left."""
         way, pace = (fraction - place.fraction, margin - place.margin), Pace()
         while self.budget:
             self.budget -= 1
             if pace.at_end:
-                pace.enough = exact
+                pace.enough = SETTLED if self._sag(place) <= SLIGHT else exact
             trial = self._step(place, way, pace)
             if trial is None or trial.place is None:
                 return place, pace.settled
@@ -300,9 +300,13 @@ class Nearest:
             place.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps)
         )
 
+    def _sag(self, place: Place) -> float:
+        """Largest displacement from the target over the size."""
+        self.beside.go_to(place)
+        return sag(self.target, self.beside.direct.state(place.z))
+
     def _note(self, place: Place) -> None:
-        moved = sag(self.target, self.beside.direct.state(place.z))
-        self.steps.append(NearestStep(place.fraction, moved, float(place.values[0]), place.margin))
+        self.steps.append(NearestStep(place.fraction, self._sag(place), float(place.values[0]), place.margin))
         if self.on_step:
             self.on_step(self.steps[-1])
 

@@ -198,22 +198,19 @@ def solve_inverse(
 def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
     """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
     alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken."""
-    best, solver, iterations = None, Direct(target), 0
+    solver, paths = Direct(target), dict[float, DirectPath]()
     holds = HOLDS if target.touches else HOLDS[:1]
-    for smallest in (COARSE, SMALLEST) if len(holds) > 1 else (SMALLEST,):
+    for smallest in (COARSE, SMALLEST):
         for hold in holds:
             target.firmness = hold * target.membrane
-            path = solver.follow(on_step, guess, smallest)
-            iterations += path.iterations
-            if best is None or not best[0].fraction or path.fraction > best[0].fraction:
-                best = path, target.firmness
+            path = paths[hold] = solver.follow(on_step, guess, smallest, paths.get(hold))
             if path.converged or path.critical is not None:
                 break
         if path.converged:
             break
-    assert best is not None
-    path, target.firmness = best
-    path.iterations = iterations
+    best = max(paths, key=lambda hold: paths[hold].fraction)
+    path, target.firmness = paths[best], best * target.membrane
+    path.iterations = sum(each.iterations for each in paths.values())
     target.load(path.fraction)
     target.rest.set(path.rest)
     target.hold(path.rest)
