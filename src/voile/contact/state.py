@@ -11,7 +11,8 @@ lambda_N <= 0, sticks where |lambda_T| <= mu lambda_N, and slips otherwise. Two 
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -88,6 +89,7 @@ class Contact:
     itself: OnItself | None = None
     state: State = field(init=False)
     softness: float = 1.0  # factor on rho
+    layers: float = LAYERS  # factor on that of the shell against itself
     kept: Kept | None = None  # whose potential stands in for the laws'
     seconds: float = 0.0  # spent on gaps and candidates
 
@@ -105,7 +107,16 @@ class Contact:
 
     def rho(self, k: int) -> float:
         """N/m, scale of the natural map with partner k."""
-        return self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else LAYERS)
+        return self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+
+    @contextmanager
+    def measured(self) -> Iterator[None]:
+        """Layers with the rho of obstacles: the laws are the same, the round-off of gaps counts for less in norms."""
+        self.layers = 1.0
+        try:
+            yield
+        finally:
+            self.layers = LAYERS
 
     @property
     def firm(self) -> float:

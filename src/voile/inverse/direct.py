@@ -19,6 +19,10 @@ from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step
 IDLE = 10  # of them without a smaller residual
+CYCLING, SHARES = (
+    2,
+    (1.0, 0.5, 0.25, 0.125),
+)  # of them from which a step must lessen it, and shares of the step
 EASY = 5  # iterations after which the next step doubles
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
@@ -144,26 +148,43 @@ class Direct:
         problem, target = self.problem, self.target
         target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
-        norm, best, idle = math.inf, math.inf, 0
+        norm, best, worst, idle = math.inf, math.inf, 0.0, 0
         for it in range(MOST + 1):
-            self.rest.set(z)
+            y, norm = self._evaluate(z, f)
             invalid = self.invalid()
             if invalid:
                 return invalid, norm, it
-            y = self.state(z)
-            target.hold(z)
-            target.residual(y, f)
-            norm, loads = f.norm(), target.load_norm(y)
+            loads = target.load_norm(y)
             if norm <= max(self.tolerance * loads, self.floor()):
                 return "", norm, it
+            if norm > worst:  # what comes back from a large residual is on its way
+                best, worst, idle = norm, norm, 0
             idle = idle + 1 if norm >= best else 0
-            if not norm < WORST * max(loads, best) or idle > IDLE:
+            if not norm < WORST * loads or idle > IDLE:
                 break
             best = min(best, norm)
             if not self._step(y, f, direction):
                 return "dR/dX is singular", norm, it
-            z.axpy(-1.0, direction)
+            z.axpy(-(1.0 if idle < CYCLING else self._shorter(z, direction, norm)), direction)
         return f"the residual stays at {norm:.2e} N", norm, it
+
+    def _evaluate(self, z: PETSc.Vec, f: PETSc.Vec) -> tuple[PETSc.Vec, float]:
+        """The state and the norm of its residual (N), left in f, with the rest shape of z."""
+        self.rest.set(z)
+        y = self.state(z)
+        self.target.hold(z)
+        self.target.residual(y, f)
+        return y, f.norm()
+
+    def _shorter(self, z: PETSc.Vec, direction: PETSc.Vec, norm: float) -> float:
+        """The share of a step, halved until it lessens the norm (N), that breaks a cycle of contacts; all of it where
+        none does."""
+        f, trial = z.duplicate(), z.duplicate()
+        for length in SHARES:
+            trial.waxpy(-length, direction, z)
+            if self._evaluate(trial, f)[1] < norm:
+                return length
+        return 1.0
 
     def state(self, z: PETSc.Vec) -> PETSc.Vec:
         """The problem's unknowns at the shape to be held, with z's director angles."""

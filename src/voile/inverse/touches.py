@@ -103,7 +103,8 @@ def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> T
 
 
 def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> Touch:
-    """Of a vertex and triangles only where it is nearest: what surrounds that place holds nothing beside it."""
+    """Of a vertex and triangles only where it is nearest: what surrounds that place holds nothing beside it. And of all
+    pairs only as many as are independent."""
     partner = contact.itself
     assert partner is not None
     wide, layers, index = partner.widen(x), partner.layers, len(contact.obstacles)
@@ -112,6 +113,7 @@ def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> Touch:
     near = (c.distance < layers.thickness + tolerance) & partner.free[found.vertex].any(axis=1)
     near[:split] &= _nearest(found.vertex[:split], c.weight[:split], c.distance[:split])
     rows = np.flatnonzero(near)
+    rows = rows[_independent(found.vertex[rows], c.weight[rows], np.count_nonzero(rows < split))]
     state = replace(contact.state, candidates=found)
     geometry = partner.geometry(rows, wide, 0.0, state)
     geometry.gap += layers.thickness
@@ -129,6 +131,29 @@ def _nearest(vertex: np.ndarray, weight: np.ndarray, distance: np.ndarray) -> np
             best[key] = min(best.get(key, (np.inf, -1)), (distance[row], row))
         mine.append((first, *sorted(c for c, w in zip(corners, weight[row, 1:], strict=True) if w != 0.0)))
     return np.array([best[key][1] == row for row, key in enumerate(mine)], dtype=bool)
+
+
+def _independent(vertex: np.ndarray, weight: np.ndarray, faces: int) -> np.ndarray:
+    """(p,) marks pairs (p, 4), the first `faces` of a vertex and a triangle, then edges, of which none follows from the
+    others: a vertex leans on what does not lean on it, and edges on each other where no such pair joins them.
+
+    As of master and slave in mortar methods (Wriggers 2006), chosen pair by pair.
+    """
+    leans: set[tuple[int, int]] = set()
+    chosen = np.zeros(len(vertex), dtype=bool)
+    for row in np.argsort(vertex[:faces, 0], kind="stable"):
+        first, *corners = vertex[row].tolist()
+        on = [(first, c) for c, w in zip(corners, weight[row, 1:], strict=True) if w != 0.0]
+        if leans.isdisjoint((c, first) for _, c in on):
+            chosen[row] = True
+            leans.update(on)
+    for row in range(faces, len(vertex)):
+        a, b, c, d = vertex[row].tolist()
+        across = [(i, j) for i in (a, b) for j in (c, d)]
+        if (weight[row] != 0.0).all() and leans.isdisjoint(across + [(j, i) for i, j in across]):
+            chosen[row] = True
+            leans.update(across)
+    return chosen
 
 
 def clearances(layers: Layers, x: np.ndarray, clearance: float) -> dict[int, float]:

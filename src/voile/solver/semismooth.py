@@ -97,8 +97,9 @@ class Semismooth:
         """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""
         problem = self.problem
         x = problem.positions(y)
-        problem.residual(y, f, self.contact.force(x, problem.load_factor, frozen=False))
-        mismatch = problem.comm.allreduce(self.contact.mismatch(x, problem.load_factor))
+        with self.contact.measured():
+            problem.residual(y, f, self.contact.force(x, problem.load_factor, frozen=False))
+            mismatch = problem.comm.allreduce(self.contact.mismatch(x, problem.load_factor))
         return f.norm(), float(np.sqrt(mismatch))
 
     def _factor(self, snes: PETSc.SNES, matrix: PETSc.Mat, symmetric: bool) -> PETSc.PC | None:
