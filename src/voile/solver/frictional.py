@@ -41,7 +41,10 @@ FIRST_RATE, LAST_RATE = 30.0, 1e7  # of pseudo-time, in slow rates
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step of pseudo-time, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 KICKS = 5  # attempts to leave a saddle
-SETTLED, NEARLY = 1e2, 1e4  # tolerances, of the balance with all contacts kept; where round-off stops it before
+SETTLED, NEARLY = (
+    1e2,
+    1e4,
+)  # tolerances, of the balance with all contacts kept; where round-off stops it before
 ROUND_OFF = 10.0  # times round-off a norm may be due to it
 GONE = 1.0  # sizes of the shell after which it has slid away
 
@@ -63,10 +66,13 @@ class FrictionalSolver:
     """Finds the equilibrium of a problem with contact at its load factor. `iterations` counts Newton iterations of
     the last `solve`, `seconds` factorisations and solves of all."""
 
-    def __init__(self, problem: Problem, snes: PETSc.SNES, newton: Newton, perturbation: float = 1.0):
-        """perturbation off a saddle in thicknesses."""
+    def __init__(
+        self, problem: Problem, snes: PETSc.SNES, newton: Newton, perturbation: float = 1.0, fast: bool = True
+    ):
+        """perturbation off a saddle in thicknesses; fast: the semismooth method first, not where starts strain the
+        shell far beyond its equilibrium."""
         assert problem.contact is not None
-        self.perturbation = perturbation * problem.thickness()
+        self.perturbation, self.fast = perturbation * problem.thickness(), fast
         self.saddle: tuple[PETSc.Vec, State] | None = None
         self.problem, self.contact, self.snes, self.newton = problem, problem.contact, snes, newton
         self.semismooth = Semismooth(problem, self.contact)
@@ -90,7 +96,8 @@ class FrictionalSolver:
         later: list[Way] = [self._by_pseudo_time]
         if self.problem.supported:  # what nothing holds has no least potential
             later.insert(0, self._by_descent)
-        for way in [first, self._keeping, *later][: ways + 1]:
+        near = [first, self._keeping] if self.fast else [self._keeping, first]
+        for way in [*near, *later][: ways + 1]:
             self.saddle = None
             outcome = self._attempt(way, y, wanted)
             if not outcome.converged and way is first and self._at_saddle():

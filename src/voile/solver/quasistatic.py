@@ -85,7 +85,7 @@ def follow_contact(
     """Load steps of 1/load_steps, no longer: friction depends on the path. Where the semismooth method fails, the
     step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step. A leap is
     cut, too, until it is certain that the shell snaps."""
-    solver = FrictionalSolver(problem, snes, newton, options.perturbation)
+    solver = FrictionalSolver(problem, snes, newton, options.perturbation, options.fast)
     # A smaller load does not hold what nothing holds.
     pace = Pace(1.0 / options.load_steps, CUTS if problem.supported else 0)
     problem.load_factor = 0.0
