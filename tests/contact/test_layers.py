@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from protocols import plate, shell_of
+from test_self_contact import pressed_sheets
 
 from voile.contact.pairs import barrier
 from voile.problem.contact import shell_layers
@@ -48,6 +49,18 @@ def test_a_seam_does_not_join_its_far_ends():
         assert length.max() < 2.1 * CELL
 
 
+def test_what_a_sliver_parts_cannot_touch():
+    """A vertex on the other side of a triangle less than a thickness high is near, but not in another layer."""
+    points, triangles = plate(6 * CELL, 6 * CELL, CELL)
+    inner = np.flatnonzero((np.abs(points[:, :2] - 3 * CELL) < 1.5 * CELL).all(axis=1))
+    above = inner[np.isclose(points[inner, 1], points[inner, 1].min())]
+    points[above, :2] += [0.5 * CELL, CELL - 0.8 * OFFSET]  # a row of cells is squeezed
+    shell = shell_of(points, triangles, young=1e6, thickness=2 * OFFSET, density=300.0)
+    layers = shell_layers(shell, OFFSET, 0.0)
+    everything = replace(layers, barred=np.zeros((0, 2), dtype=int))
+    assert len(everything.nearer(2.0 * OFFSET)) and not len(layers.nearer(2.0 * OFFSET))
+
+
 def test_layers_caught_in_a_gaping_seam_cannot_touch():
     """What starts nearer than the seams gape may be on the wrong side of a seam when that closes."""
     gape = 0.4 * OFFSET
@@ -74,3 +87,13 @@ def test_the_barrier_is_none_where_layers_do_not_meet():
     here = barrier(gap, 2 * OFFSET)
     assert np.allclose((ahead - back)[0] / (2 * step), -here[1], rtol=1e-7)
     assert np.allclose((ahead - back)[1] / (2 * step), -here[2], rtol=1e-7)
+
+
+def test_round_off_of_gaps_counts_for_less_in_norms():
+    """Layers' mismatch of the laws grows with rho where their gaps are off, and `measured` takes that of obstacles."""
+    contact, x = pressed_sheets(0.0)
+    firm = contact.mismatch(x, 1.0)
+    with contact.measured():
+        assert contact.rho(0) == contact.stiffness
+        assert contact.mismatch(x, 1.0) < 1e-2 * firm
+    assert contact.mismatch(x, 1.0) == firm

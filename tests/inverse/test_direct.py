@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from inverse_shells import hanging_sheet, panels, shell, strip
+from inverse_shells import folded_skirt, hanging_sheet, panels, shell, strip
 from mpi4py import MPI
 
 from voile.contact.obstacles import Cylinder, Motion, Plane
 from voile.errors import NotConverged
+from voile.inverse.direct import Direct
 from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
@@ -53,6 +54,19 @@ def test_strip_that_must_hang_straight_has_the_curvature_of_its_moment(gamma):
         0.5 * (k[1:] + k[:-1]) for k in (curvature, exact)
     )  # diagonals alternate from cell to cell
     np.testing.assert_allclose(mean[1:30], expected[1:30], rtol=5e-3)
+
+
+def test_a_step_that_overshoots_is_cut():
+    """Newton's step thrice as long leaves twice the residual; the half of it, half the residual."""
+    shape = folded_skirt(young=1e7)
+    target = Target(Problem(shape, MPI.COMM_SELF), shape, [], 0.5e-3, 1e-3)
+    direct, z = Direct(target), target.problem.create_vector()
+    target.load(1e-6)
+    f, direction = z.duplicate(), z.duplicate()
+    y, norm = direct._evaluate(z, f)
+    assert direct._step(y, f, direction)
+    assert direct._shorter(z, direction, norm) == 1.0
+    assert direct._shorter(z, 3.0 * direction, norm) == 0.5
 
 
 def test_standing_strip_is_certified_unstable_beyond_the_column_that_buckles():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inverse_shells import grid, shell
+from scipy.spatial import Delaunay
 from test_cli_inverse import ROD, SCENE
 from test_direct import rod, tube
 
@@ -106,6 +107,27 @@ def test_derivative_by_the_rest_positions():
     steps = 1e-6 * 0.5 ** np.arange(4)
     missed = [np.linalg.norm(balance(s) - first - s * slope.array) for s in steps]
     assert np.log2(np.divide(missed[:-1], missed[1:])).min() > 1.8
+
+
+def irregular(seed: int, height: float):
+    """An irregular patch of 0.2 m at a height (m)."""
+    points, _ = grid(8, 8, 0.2, 0.2)
+    plane = points[:, :2] + np.random.default_rng(seed).uniform(-0.008, 0.008, (len(points), 2))
+    return np.column_stack([plane, np.full(len(plane), height)]), Delaunay(plane).simplices
+
+
+def test_pairs_between_layers_are_independent():
+    """Between irregular layers no pair's normal jump follows from the others', and so no reaction."""
+    (below, lower), (above, upper) = irregular(1, 0.0), irregular(2, 2.0 * OFFSET + HOVER)
+    points = np.concatenate([below, above])
+    shape = shell(points, np.concatenate([lower, upper + len(below)]), np.zeros(points.shape, dtype=bool))
+    shape.fixed[: len(below)] = True
+    target = Target(Problem(shape), shape, [], OFFSET, 1e-3, layers=shell_layers(shape, OFFSET, 0.4))
+    (between,) = target.touches
+    rows = np.zeros((len(between), len(points)))
+    np.add.at(rows, (np.arange(len(between))[:, None], between.geometry.vertex), between.geometry.weight)
+    assert len(between) > 60 and len(np.unique(between.geometry.vertex)) > 100
+    assert np.linalg.svd(rows, compute_uv=False).min() > 1e-3
 
 
 LAYERS = "[contact]\nself_contact = true\nself_friction = 0.5\noffset = 0.5e-3\n"

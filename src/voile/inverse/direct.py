@@ -19,10 +19,8 @@ from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step
 IDLE = 10  # of them without a smaller residual
-CYCLING, SHARES = (
-    2,
-    (1.0, 0.5, 0.25, 0.125),
-)  # of them from which a step must lessen it, and shares of the step
+CYCLING = 2  # of them after which a step must lessen it
+SHARES = 1.0, 0.5, 0.25, 0.125  # of a step, tried then
 EASY = 5  # iterations after which the next step doubles
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed

@@ -35,8 +35,8 @@ def attach(
 
 def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     """The layers of a sewn shell whose surfaces touch at `offset` (m) from the mid-surface. Vertices nearer along the
-    cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together, nor layers
-    that start nearer than the seams gape: closing those may carry one through the other."""
+    cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together, nor what a
+    sliver parts, nor layers that start nearer than the seams gape: closing those may carry one through the other."""
     edges, x, n = shell.topology.edges, shell.points, len(shell.points)
     masters = np.concatenate([shell.first, shell.second])
     share = np.concatenate([1.0 - shell.weight, shell.weight])  # of the slave's position
@@ -46,10 +46,24 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     along = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
     length = np.concatenate([along, apart[share > 0.0]])
     near = near_along(np.concatenate([edges, sewn]), length, n, np.pi * offset)
-    barred = np.unique(np.concatenate([near, _joined(sewn, n)]), axis=0)
+    thin = _across_slivers(x, shell.triangles, np.pi * offset)
+    barred = np.unique(np.concatenate([near, thin, _joined(sewn, n)]), axis=0)
     layers = Layers(x, shell.triangles, edges, barred, 2.0 * offset, friction)
     caught = layers.nearer(seam_gap(shell))
     return replace(layers, barred=np.concatenate([barred, caught]), caught=len(np.unique(caught, axis=0)))
+
+
+def _across_slivers(x: np.ndarray, triangles: np.ndarray, limit: float) -> np.ndarray:
+    """(b, 2) ascending pairs of vertices: of triangles less than `limit` (m) high, the corner across from the longest
+    side and that side's ends."""
+    corner = x[triangles]
+    side = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)  # across from each corner
+    length = np.linalg.norm(side, axis=2)
+    twice = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
+    flat = np.flatnonzero(twice < limit * length.max(axis=1))
+    first = length[flat].argmax(axis=1)
+    pairs = [triangles[flat[:, None], (first[:, None] + [0, k]) % 3] for k in (1, 2)]
+    return np.sort(np.concatenate(pairs), axis=1)
 
 
 def _joined(sewn: np.ndarray, n: int) -> np.ndarray:
