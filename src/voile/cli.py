@@ -194,7 +194,7 @@ def _run(args: argparse.Namespace) -> int:
     from mpi4py import MPI
 
     from voile.results import prepare_output
-    from voile.tasks import Progress, run_inverse, run_statics
+    from voile.tasks import Progress, run_inverse, run_statics, summarise_refusal
 
     comm = MPI.COMM_WORLD
     scene, model = _collective(comm, lambda: _load(args))
@@ -202,7 +202,11 @@ def _run(args: argparse.Namespace) -> int:
     prepare_output(folder, comm)
     progress = Progress(comm)
     task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
-    failure = task(scene, model, folder, comm, progress, began)
+    try:
+        failure = task(scene, model, folder, comm, progress, began)
+    except NotConverged as reason:
+        failure = str(reason)
+        summarise_refusal(scene, model, folder, failure)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

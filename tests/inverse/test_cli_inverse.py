@@ -153,6 +153,19 @@ def test_a_target_that_no_friction_holds_is_refused_with_the_least_that_would_do
     scene(on_a_rod, ROD.format(friction=0.0))
     code, said = run(on_a_rod)
     assert code == 3 and "no reactions in the cones" in said and said.count("voile:") == 1
+    summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
+    assert not summary["converged"] and summary["reason"] in said and "the least friction" in said
+
+
+def test_what_round_off_leaves_of_stiff_cloth_is_told_and_asked_for(on_a_rod):
+    """Loads on E = 1e13 Pa strain less than the last places of the positions can tell."""
+    scene(on_a_rod, ROD.format(friction=0.5), young=1e13)
+    code, said = run(on_a_rod)
+    assert code == 0, said
+    summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
+    (note,) = [note for note in summary["notes"] if "double precision" in note]
+    assert "inverse.tolerance" in note
+    assert summary["residual_norm"] <= summary["residual_tolerance"] and summary["inverse"]["sag"] < 1e-12
 
 
 def test_a_target_deep_inside_its_obstacle_is_refused(on_a_rod):

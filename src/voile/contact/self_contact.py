@@ -168,9 +168,9 @@ class Layers:
         """Ascending codes of what ipctk found and is not barred."""
         n, e = len(self.points), len(self.edges)
         faces = [c.face_id * n + c.vertex_id for c in found.fv_candidates]
-        pairs = [(c.edge0_id, c.edge1_id) for c in found.ee_candidates]
-        edges = [self._split + min(pair) * e + max(pair) for pair in pairs]
-        code = np.sort(np.array(faces + edges, dtype=np.int64))
+        edges = np.array([c.edge0_id * e + c.edge1_id for c in found.ee_candidates], dtype=np.int64)
+        low, high = np.sort(np.divmod(edges, e), axis=0)
+        code = np.sort(np.concatenate([np.array(faces, dtype=np.int64), self._split + low * e + high]))
         vertex, split = self._vertices(code), self._faces(code)
         barred = np.zeros(len(code), dtype=bool)
         if not len(self._barred):

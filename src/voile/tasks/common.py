@@ -85,7 +85,6 @@ def summarise(
     inverse=None,
 ) -> None:
     """summary.json of a run whose (last) simulation is `path`; for an inverse task with its result and figures."""
-    from voile.explain import modelled
     from voile.results import write_summary
 
     if model is None:
@@ -94,8 +93,7 @@ def summarise(
     summary = {
         "converged": path.converged if result is None else result.converged,
         "reason": path.reason if result is None else result.reason,
-        "task": scene.scene.task,
-        "name": scene.scene.name,
+        **_about(scene, model),
         "dofs": problem.unknowns,
         "steps": len(path.steps),
         "load_factor": last.factor if last else 0.0,
@@ -110,13 +108,31 @@ def summarise(
         "wall_time_s": {**seconds, "total": time.perf_counter() - began},
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
         "ranks": problem.comm.size,
-        "versions": versions(),
-        "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
-        "notes": model.notes,
     }
     if inverse is not None:
         summary["inverse"] = inverse
     write_summary(folder / "summary.json", summary)
+
+
+def summarise_refusal(scene, model, folder: Path, reason: str) -> None:
+    """summary.json of a run that ended before anything was in equilibrium."""
+    from voile.results import write_summary
+
+    if model is not None:
+        write_summary(folder / "summary.json", {"converged": False, "reason": reason, **_about(scene, model)})
+
+
+def _about(scene, model) -> dict:
+    """What every summary tells of its run."""
+    from voile.explain import modelled
+
+    return {
+        "task": scene.scene.task,
+        "name": scene.scene.name,
+        "versions": versions(),
+        "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
+        "notes": model.notes,
+    }
 
 
 def versions() -> dict[str, str]:

@@ -48,6 +48,11 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     solve = _solve_panels if spec.developable == "panels" else _solve_surface
     result, flat, figures = solve(scene, model, shell, folder, options, comm, progress)
     problem, report = result.target.problem, inverse_report(result) | {"pattern": figures}
+    if model and result.tolerance > spec.tolerance:
+        model.notes.append(
+            f"inverse.tolerance: double precision holds the balance at the target to {result.residual:.1e} N, "
+            f"{result.tolerance:.1e} of the loads; simulations are asked for no more"
+        )
     _write_result(scene, model, shell, folder, result, flat, comm)
     rest = time.perf_counter() - start - sum(result.seconds.values())
     seconds = {**problem.seconds, **result.seconds, "input_output": rest}
