@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import ipctk
@@ -62,6 +63,7 @@ class Layers:
         self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
         self.edges = np.ascontiguousarray(self.edges, dtype=np.int32)
         self._barred = self._pair_code(*self.barred.T)
+        self._wary = np.isin(np.arange(len(self.points)), self.barred)  # vertices of those pairs
         self._split = len(self.triangles) * len(self.points)  # codes from here on are of edges
         self._mesh = ipctk.CollisionMesh(self.points, self.edges, self.triangles)
 
@@ -74,7 +76,10 @@ class Layers:
         reach = self.thickness + (BAND * self.thickness if further is None else further)
         found, kept = ipctk.Candidates(), self.known if kept is None else np.union1d(kept, self.known)
         found.build(self._mesh, x, 0.5 * reach)
-        boxed = self._named(self._codes(found), x)  # of these the boxes come near
+        face, edge = (
+            code[self._open(code)] for code in self._codes(found.fv_candidates, found.ee_candidates)
+        )
+        boxed = self._named(np.sort(np.concatenate([face, edge])), x)  # of these the boxes come near
         corner, split = x[boxed.vertex], boxed.faces
         distance = [closest_to_triangle(corner[:split]).distance, edge_distance(corner[split:])]
         return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
@@ -103,19 +108,18 @@ class Layers:
 
     def free_share(self, x: np.ndarray, moved: np.ndarray, candidates: Candidates) -> float:
         """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1."""
-        swept, code = ipctk.Candidates(), candidates.code
-        if not (self.valid(candidates, x) and self.valid(candidates, moved)):
+        swept, n, e = ipctk.Candidates(), len(self.points), len(self.edges)
+        if self.valid(candidates, x) and self.valid(candidates, moved):
+            face, edge = np.split(candidates.code, [candidates.faces])
+            swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in face.tolist()]
+            edges = (edge - self._split).tolist()
+            swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
+        else:
             swept.build(self._mesh, x, moved, 0.0)
-            if not len(self._barred):
-                return self._free_share(swept, x, moved)
-            code = self._codes(swept)
-        n, e, split = len(self.points), len(self.edges), self._faces(code)
-        swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in code[:split].tolist()]
-        edges = (code[split:] - self._split).tolist()
-        swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
-        return self._free_share(swept, x, moved)
-
-    def _free_share(self, swept: ipctk.Candidates, x: np.ndarray, moved: np.ndarray) -> float:
+            faces, edges = swept.fv_candidates, swept.ee_candidates
+            face, edge = self._codes(faces, edges)
+            swept.fv_candidates = list(compress(faces, self._open(face)))
+            swept.ee_candidates = list(compress(edges, self._open(edge)))
         return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
 
     def check_start(self, x: np.ndarray) -> None:
@@ -164,30 +168,31 @@ class Layers:
                 f"nearer than twice the offset, {self.thickness:.4g} m; lower contact.offset or hold them further apart"
             )
 
-    def _codes(self, found: ipctk.Candidates) -> np.ndarray:
-        """Ascending codes of what ipctk found and is not barred."""
+    def _codes(self, faces: list, edges: list) -> tuple[np.ndarray, np.ndarray]:
+        """Codes of ipctk's candidates, in their order."""
         n, e = len(self.points), len(self.edges)
-        faces = [c.face_id * n + c.vertex_id for c in found.fv_candidates]
-        edges = np.array([c.edge0_id * e + c.edge1_id for c in found.ee_candidates], dtype=np.int64)
-        low, high = np.sort(np.divmod(edges, e), axis=0)
-        code = np.sort(np.concatenate([np.array(faces, dtype=np.int64), self._split + low * e + high]))
-        vertex, split = self._vertices(code), self._faces(code)
-        barred = np.zeros(len(code), dtype=bool)
-        if not len(self._barred):
-            return code
-        for part, sides in zip((slice(split), slice(split, None)), ACROSS, strict=True):
-            for i, j in sides:
-                barred[part] |= np.isin(self._pair_code(vertex[part, i], vertex[part, j]), self._barred)
-        return code[~barred]
+        face = np.array([c.face_id * n + c.vertex_id for c in faces], dtype=np.int64)
+        pair = np.array([c.edge0_id * e + c.edge1_id for c in edges], dtype=np.int64)
+        low, high = np.sort(np.divmod(pair, e), axis=0)
+        return face, self._split + low * e + high
+
+    def _open(self, code: np.ndarray) -> np.ndarray:
+        """(c,) marks those of codes, all of faces or all of edges, that are not barred."""
+        vertex, barred = self._vertices(code), np.zeros(len(code), dtype=bool)
+        for i, j in ACROSS[0 if self._faces(code) else 1]:
+            one, two = vertex[:, i], vertex[:, j]
+            rows = np.flatnonzero(self._wary[one] & self._wary[two])
+            barred[rows] |= np.isin(self._pair_code(one[rows], two[rows]), self._barred)
+        return ~barred
 
     def _pair_code(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         return np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)
 
     def _faces(self, code: np.ndarray) -> int:
-        return int(np.searchsorted(code, self._split))
+        return int(np.count_nonzero(code < self._split))
 
     def _vertices(self, code: np.ndarray) -> np.ndarray:
-        """(c, 4) of candidates by ascending codes."""
+        """(c, 4) of candidates by codes, those of faces first."""
         n, e, split = len(self.points), len(self.edges), self._faces(code)
         face, edge = code[:split], code[split:] - self._split
         first = np.column_stack([face % n, self.triangles[face // n]])
