@@ -6,7 +6,7 @@ import pytest
 from mesh_helpers import SQUARE, SQUARE_POINTS, areas, generator, loops_of, obj
 
 from voile.errors import InputError
-from voile.mesh import Stitches, read_mesh, read_rest, write_obj
+from voile.mesh import Stitches, read_body, read_mesh, read_rest, write_obj
 
 CORNERS = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -216,6 +216,13 @@ def test_solid_and_quadratic_cells_are_refused(tmp_path):
     meshio.write(path, meshio.Mesh(SQUARE_POINTS, [("line", [[0, 1]])]))
     with pytest.raises(InputError, match="no triangles"):
         read_mesh(path)
+
+
+def test_a_body_without_area_is_refused(tmp_path):
+    path = tmp_path / "line.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="none of its 1 triangles has an area"):
+        read_body(path)
 
 
 # --- repairs

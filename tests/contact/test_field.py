@@ -122,8 +122,12 @@ def test_a_small_hole_is_bridged():
         ((ball()[0], ball()[1][:, ::-1]), "inside out"),
         (together(ball(), (ball(2, (3, 0, 0))[0], ball(2)[1][:, ::-1])), "1 of its 2 pieces"),
         ((np.eye(3), np.array([[0, 1, 2]])), "no volume"),
+        (
+            (ball()[0], np.concatenate([ball()[1][:9], ball()[1][9:10, ::-1], ball()[1][10:]])),
+            "at 3 of its edges",
+        ),
     ],
-    ids=["inside out", "one piece inside out", "flat"],
+    ids=["inside out", "one piece inside out", "flat", "one triangle turned"],
 )
 def test_bodies_without_a_definite_inside_are_refused(mesh, reason):
     with pytest.raises(InputError, match=reason):

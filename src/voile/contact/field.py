@@ -148,7 +148,20 @@ def signed_distance(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray,
 
 
 def _check_orientation(points: np.ndarray, triangles: np.ndarray, source: str) -> None:
-    """Refuses meshes without inside, and closed pieces turned inside out even where the whole is not."""
+    """Refuses meshes without inside, triangles turned against their neighbours, and closed pieces turned inside out
+    even where the whole is not."""
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    forth = (triangles < np.roll(triangles, -1, axis=1)).ravel()
+    _, first, edge, count = np.unique(
+        sides, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    against = np.flatnonzero((count == 2) & (np.bincount(edge.ravel(), forth) != 1.0))
+    if len(against):
+        a, b = sides[first[against[0]]]
+        raise InputError(
+            f"{source}: at {len(against)} of its edges, first that of vertices {a} and {b}, the two triangles face "
+            "opposite sides; orient all normals outwards"
+        )
     pieces, piece = igl.facet_components(triangles)
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -176,12 +176,15 @@ def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
 
 def read_body(path: str | Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) m and triangles (m, 3) of a body, which may have holes, pieces and double edges; triangles
-    without area are dropped. Raises InputError for a file that cannot be read or has no triangles."""
+    without area are dropped. Raises InputError for a file that cannot be read or has no others."""
     raw = _read_raw(Path(path), scale)
     check_coordinates(raw)
     if not len(raw.triangles):
         raise InputError(f"{path}: no triangles")
-    return raw.points, np.delete(raw.triangles, flat_triangles(raw.points, raw.triangles), axis=0)
+    flat = flat_triangles(raw.points, raw.triangles)
+    if len(flat) == len(raw.triangles):
+        raise InputError(f"{path}: none of its {len(flat)} triangles has an area")
+    return raw.points, np.delete(raw.triangles, flat, axis=0)
 
 
 def _read_raw(path: Path, scale: float) -> RawMesh:
