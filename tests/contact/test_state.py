@@ -133,3 +133,14 @@ def test_a_point_pulled_away_opens():
     x, r, _ = one_vertex(0.3, np.array([0.5, 0.0, 1.0]), np.eye(3))
     assert np.allclose(x, [0.5, 0.0, 1.0])
     assert not r.any()
+
+
+def test_sharp_norms_take_no_larger_rho():
+    """A gap that only round-off opens counts with `sharp` in norms, with rho in the laws."""
+    contact, x = touching(0.3)
+    firm = contact.mismatch(x, 1.0)
+    contact.sharp = 0.01 * STIFFNESS
+    with contact.measured():
+        assert contact.rho(0) == 0.01 * STIFFNESS
+        assert contact.mismatch(x, 1.0) < 0.1 * firm
+    assert contact.rho(0) == STIFFNESS and contact.mismatch(x, 1.0) == firm

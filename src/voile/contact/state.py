@@ -90,6 +90,8 @@ class Contact:
     state: State = field(init=False)
     softness: float = 1.0  # factor on rho
     layers: float = LAYERS  # factor on that of the shell against itself
+    most: float = np.inf  # N/m, of rho
+    sharp: float = np.inf  # N/m, rho in norms at most: with more of it the round-off of gaps would count
     kept: Kept | None = None  # whose potential stands in for the laws'
     seconds: float = 0.0  # spent on gaps and candidates
 
@@ -107,16 +109,18 @@ class Contact:
 
     def rho(self, k: int) -> float:
         """N/m, scale of the natural map with partner k."""
-        return self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+        rho = self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+        return min(rho, self.most)
 
     @contextmanager
     def measured(self) -> Iterator[None]:
-        """Layers with the rho of obstacles: the laws are the same, the round-off of gaps counts for less in norms."""
-        self.layers = 1.0
+        """For norms: layers with the rho of obstacles, and none above `sharp`. The laws are the same with any rho, the
+        round-off of gaps counts for less."""
+        self.layers, self.most = 1.0, self.sharp
         try:
             yield
         finally:
-            self.layers = LAYERS
+            self.layers, self.most = LAYERS, np.inf
 
     @property
     def firm(self) -> float:

@@ -80,7 +80,9 @@ class Forward:
         problem.load_factor = 1.0
         wanted = tolerance(problem, y, self.options)
         if self.contact:
-            return self.contact.solve(y, wanted, 2).converged
+            found = self.contact.solve(y, wanted, 2).converged
+            problem.unbase(y)
+            return found
         self.newton.descend = True
         self.snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=PATIENCE)
         self.snes.setFromOptions()

@@ -16,17 +16,17 @@ from voile.problem.anchor import difference
 from voile.problem.contact import contact_report
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
-from voile.solver.frictional import FrictionalSolver, Outcome
+from voile.solver.frictional import FrictionalSolver
 from voile.solver.newton import Newton
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, tolerance
 from voile.solver.stability import smallest_eigenpair
+from voile.solver.ways import NEUTRAL, Outcome
 
 EASY = 10  # Newton iterations up to which a load step grows
 CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 LEAP = 5.0  # times the motion to be expected that a step may make
 NOTABLE = 0.01  # sizes of the shell: a smaller motion is none
 SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
-NEUTRAL = 1e-6  # slow rates: an eigenvalue nearer to zero is none
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
 
@@ -96,8 +96,9 @@ def follow_contact(
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {pace.factor:g}"
             return
         path.attempts += 1
-        problem.load_factor, before = pace.target, solver.contact.state.copy()
+        problem.load_factor, start = pace.target, solver.base.here(y)
         done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
+        solver.base.unknowns(start).copy(path.state)
         if done is None:
             if pace.last_resort:
                 path.reason = f"{outcome.reason}; at load factor {pace.target:g}"
@@ -109,8 +110,7 @@ def follow_contact(
         stable = not options.stability or done.negative == 0 or solver.stable(y)
         leaps = moved > LEAP * _expected(problem, pace) or (pace.stable and not stable)
         if leaps and not pace.shortest:
-            path.state.copy(y)
-            solver.contact.state = before
+            solver.base.put(y, start)
             pace.leapt()
             continue
         if options.stability and (leaps or pace.target == 1.0):

@@ -50,7 +50,7 @@ class Semismooth:
         f, direction, states = snes.getFunction()[0], y.duplicate(), None
         self.steps = []
         kind = "exact"
-        first, best, idle = 0.0, np.inf, 0
+        first, best, idle, there = 0.0, np.inf, 0, None
         for it in range(MOST + 1):
             residual, mismatch = self.norms(y, f)
             norm = float(np.hypot(residual, mismatch))
@@ -64,9 +64,13 @@ class Semismooth:
             reason = NOT_FINITE
             if norm <= 1e8 * first:
                 reason = snes.callConvergenceTest(it, y.norm(), direction.norm() if it else 0.0, norm)
+            if there and reason <= 0:  # as where the tangent is singular
+                norm, reason = self._back(snes, y, there)
             if reason and (it or reason < 0):
                 snes.setConvergedReason(reason)
                 return
+            # What holds from the start takes one step for its inertia, and to be sharper.
+            there = (y.copy(), self.contact.state.copy(), norm, reason) if reason else None
             if it == MOST or idle > PATIENCE:
                 break
             linear = self.contact.linearise(problem.positions(y), problem.load_factor)
@@ -92,6 +96,13 @@ class Semismooth:
             self.steps.append(Iteration(residual, mismatch, symmetric, now != states))
             states, kind = now, "mixed"
         snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
+
+    def _back(self, snes: PETSc.SNES, y: PETSc.Vec, there: tuple) -> tuple[float, int]:
+        """y and the reactions are again those of a state that converged with this norm for this reason."""
+        start, self.contact.state, norm, reason = there
+        start.copy(y)
+        snes.setFunctionNorm(norm)
+        return norm, reason
 
     def norms(self, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
         """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""

@@ -1,0 +1,36 @@
+"""Places that ways to an equilibrium come back to, and starts that are equilibria already."""
+
+import numpy as np
+import protocols
+import pytest
+
+from voile.contact.obstacles import Plane
+from voile.problem.contact import attach
+from voile.problem.discrete import Problem
+from voile.solver.ways import Base
+
+
+def test_a_place_is_the_same_from_another_base():
+    points, triangles = protocols.plate(0.5, 0.5, 0.125)
+    problem = Problem(protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0))
+    attach(problem, [Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)], 0.0)
+    contact, rng = problem.contact, np.random.default_rng(2)
+    base, y = Base(problem, contact), problem.create_vector()
+    y.array[:] = rng.normal(size=len(y.array_r))
+    contact.state.normal[0][:] = 1.0
+    place, x = base.here(y), problem.positions(y)
+    y.array[:] += 1e-3 * rng.normal(size=len(y.array_r))
+    base.move(y)
+    assert y.norm() == 0.0 and np.abs(problem.positions(y) - x).max() > 1e-4
+    contact.state.normal[0][:] = 2.0
+    base.put(y, place)
+    assert np.abs(problem.positions(y) - x).max() < 1e-14
+    assert (contact.state.normal[0] == 1.0).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_sheet_that_lies_on_a_plane_stays(share):
+    """Without friction the tangent is singular: the sheet may go anywhere on the plane, but nothing makes it."""
+    path, problem, points, _ = protocols.incline(0.0 if share == 0.0 else 20.0, 8, 5e-2, 2.0 * share)
+    assert path.converged
+    assert np.abs(problem.positions(path.state) - points).max() < 1e-6
