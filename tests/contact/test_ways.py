@@ -7,6 +7,7 @@ import pytest
 from voile.contact.obstacles import Plane
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
+from voile.solver.semismooth import Semismooth
 from voile.solver.ways import Base
 
 
@@ -28,9 +29,14 @@ def test_a_place_is_the_same_from_another_base():
     assert (contact.state.normal[0] == 1.0).all()
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_sheet_that_lies_on_a_plane_stays(share):
-    """Without friction the tangent is singular: the sheet may go anywhere on the plane, but nothing makes it."""
-    path, problem, points, _ = protocols.incline(0.0 if share == 0.0 else 20.0, 8, 5e-2, 2.0 * share)
+@pytest.mark.parametrize("step", [1e3, np.nan])
+def test_what_is_in_equilibrium_stays_where_a_singular_tangent_leads_away(monkeypatch, step):
+    points, triangles = protocols.plate(0.5, 0.5, 0.125)
+    shell = protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0)
+    floor = Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)
+    path, problem = protocols.solve(shell, floor)
     assert path.converged
-    assert np.abs(problem.positions(path.state) - points).max() < 1e-6
+    monkeypatch.setattr(Semismooth, "_direction", lambda self, *args: args[-1].set(step))
+    again, problem = protocols.solve(shell, floor, history=problem)
+    assert again.converged and again.steps[-1].residual <= again.steps[-1].tolerance
+    assert np.abs(problem.positions(again.state) - points).max() < 1e-12

@@ -17,6 +17,7 @@ from voile.solver.newton import NOT_FINITE, REACH, factorisation_error, negative
 
 CORRECTIONS = 3  # solves with one factorisation that turn firm stiffnesses into constraints
 MOST = 60  # iterations
+SINGULAR = PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
 PATIENCE = 6  # iterations without halving the norm after which it will not converge, or cycles
 
 
@@ -77,12 +78,11 @@ class Semismooth:
             symmetric = problem.everywhere(linear.symmetric)
             problem.tangent(y, matrix, kind, linear.blocks())
             pc = self._factor(snes, matrix, symmetric)
-            if pc is None:
-                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
-                return
-            self._direction(pc, matrix, linear, y, f, direction)
-            if not np.isfinite(direction.norm()):
-                snes.setConvergedReason(PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
+            if pc:
+                self._direction(pc, matrix, linear, y, f, direction)
+            if not (pc and np.isfinite(direction.norm())):
+                reason = self._back(snes, y, there)[1] if there else SINGULAR
+                snes.setConvergedReason(reason)
                 return
             share = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
             direction.scale(share)
@@ -122,6 +122,7 @@ class Semismooth:
             pc.setUp()
         if factorisation_error(pc):
             pc.reset()
+            self.negative = None
             return None
         self.negative = negative_pivots(pc)
         return pc
