@@ -1,5 +1,7 @@
 """Inverse statics at a target: closed forms, stability, contact and friction."""
 
+import re
+
 import numpy as np
 import pytest
 from inverse_shells import folded_skirt, hanging_sheet, panels, shell, strip
@@ -77,7 +79,10 @@ def test_standing_strip_is_certified_unstable_beyond_the_column_that_buckles():
     result = solve(above, method="direct")
     assert not result.converged
     assert result.direct.critical == pytest.approx(7.837 / 8.3, rel=0.02)
-    assert "stability is lost" in result.reason
+    assert "stability is lost" in result.reason and 'inverse.method = "adjoint" goes on' in result.reason
+    firmer = float(re.search(r"([\d.]+) times the Young's modulus would keep it", result.reason)[1])
+    assert firmer == pytest.approx(8.3 / 7.837, rel=0.02)
+    assert solve(heavy_strip(8.3 / firmer, upwards=True)[0], method="direct").stable
     mode = result.target.problem.motion(result.mode)
     tip = np.argmax(result.target.x[:, 0])
     assert abs(mode[tip, 2]) > 0.9  # it bends sideways

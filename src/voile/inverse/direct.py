@@ -101,7 +101,6 @@ class Direct:
                 path.step *= 0.5
                 if negative:
                     path.critical, lost = fraction, z.copy()
-                    reason = f"stability is lost between {path.fraction:.4g} and {fraction:.4g} of the load"
                 path.reason = reason
                 continue
             assert negative is not None
@@ -115,6 +114,8 @@ class Direct:
             elif iterations <= EASY:
                 path.step *= 2.0
         path.converged = path.fraction >= 1.0
+        if path.critical is not None:
+            path.reason = _lost(path.fraction, path.critical)
         if lost is not None and path.critical is not None:
             self._go_to(lost, path.critical)
             path.mode = self.target.softest_mode(lost)
@@ -232,3 +233,12 @@ class Direct:
                 f"allowed: {AREAS[0]:g} to {AREAS[1]:g}"
             )
         return ""
+
+
+def _lost(fraction: float, critical: float) -> str:
+    """Where stability is lost, and what keeps it: a shell of E / fraction under the full load is that of E under the
+    fraction."""
+    firmer = (
+        f"; {math.ceil(1e3 / fraction) / 1e3:g} times the Young's modulus would keep it" if fraction else ""
+    )
+    return f"stability is lost between {fraction:.4g} and {critical:.4g} of the load{firmer}"

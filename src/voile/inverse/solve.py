@@ -157,6 +157,8 @@ def solve_inverse(
         runs = (simulate(target, rest, options.tolerance, disturbed=d) for d in (False, True))
         return all(run.stable and run.sag <= NEAR * sag for run in runs)
 
+    if not path.converged and options.method == "direct":
+        path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
         nearest = approach(target, path, options.margin, stays, on_nearest)
     if not (path.converged or nearest) and options.method != "direct":
