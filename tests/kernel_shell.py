@@ -28,12 +28,15 @@ class Shell:
         self.kernel = _kernels.Elastic(
             model_name(*model), triangles, top.triangle_edges, top.signs, top.across, len(top.edges), rest
         )
+        if clamps:
+            half_edges, conormal, vectors = zip(*clamps, strict=True)
+            never = np.zeros(len(clamps), dtype=np.int32)
+            self.kernel.set_clamps(
+                np.int32(half_edges), np.int32(conormal), never, np.array(vectors, dtype=float)
+            )
         self.kernel.set_rest(rest, triangles, flat)
         ones = np.ones(len(triangles))
         self.kernel.set_fabric(thickness * ones, young * ones, poisson * ones)
-        if clamps:
-            half_edges, conormal, vectors = zip(*clamps, strict=True)
-            self.kernel.set_clamps(np.int32(half_edges), np.int32(conormal), np.array(vectors, dtype=float))
         self.size = rest.size + (len(top.edges) if self.kernel.directors else 0)
         identity = np.minimum(np.arange(rest.size + len(top.edges) + 1), self.size).astype(np.int32)
         self.scatter = _kernels.Scatter(

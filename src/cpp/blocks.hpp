@@ -103,6 +103,20 @@ VOILE_INLINE Local local_shape(const Block& block, const double* base, const dou
   return w;
 }
 
+// Half the angles of the rest shape to clamps at rest; share: 1/2 where there is one, else 0.
+struct Turn {
+  Real s[3], c[3], share[3];
+};
+
+// Takes these angles off alpha.
+VOILE_INLINE void turn_back(const Turn& turn, Invariants<Real>& q) {
+  for (int i = 0; i < 3; ++i) {
+    Real s = q.s[i] * turn.c[i] - q.c[i] * turn.s[i];
+    q.c[i] = q.c[i] * turn.c[i] + q.s[i] * turn.s[i];
+    q.s[i] = s;
+  }
+}
+
 // Clamped half edges of the block: alpha is the whole angle from the normal to the held director.
 inline void hold_directors(const Block& block, const std::vector<int>& clamp_of,
                            const std::vector<Clamp>& clamps, Local& w) {

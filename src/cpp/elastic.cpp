@@ -15,12 +15,13 @@ template <class Model>
 class ElasticModel final : public Elastic {
   Mesh mesh;
   std::vector<Block> blocks;
-  std::vector<int> clamp_of;  // (3m) index into clamps, -1; empty without clamps
+  std::vector<int> clamp_of, rest_clamp_of;  // (3m) index into clamps, -1; empty without clamps (at rest)
   std::vector<Clamp> clamps;
   std::vector<Real> weight;  // per block, 0 in lanes without a triangle
   std::vector<double> turn_weight;
   std::vector<Rest> rest;
   std::vector<QuadraticRest> quadratic;
+  std::vector<Turn> turns;  // from the clamps that are at rest; empty without
   std::vector<Block> rest_blocks;
   std::vector<double> rest_points, still;  // still: no displacement
   bool rest_flat = false;
@@ -35,6 +36,7 @@ class ElasticModel final : public Elastic {
     Local w = local_shape<Model::bends>(block, mesh.start.data(), state.displacement);
     if constexpr (Model::bends) {
       if (!clamp_of.empty()) hold_directors(block, clamp_of, clamps, w);
+      if (!turns.empty()) turn_back(turns[block.first / LANES], w.q);
       if constexpr (Model::directors)
         for (int i = 0; i < 3; ++i) turn_director(block, i, state.director, w.q);
     }
@@ -43,6 +45,37 @@ class ElasticModel final : public Elastic {
 
   Local rest_local(size_t b) const {
     return local_shape<Model::bends>(rest_blocks[b], rest_points.data(), still.data());
+  }
+
+  // Half the angle of the rest shape to clamps at rest is alpha's there, the other half is taken off alpha:
+  // as at a hinge, whatever the clamp's own direction.
+  void share_turns(size_t b, Local& w) {
+    Invariants<Real> free = w.q;
+    hold_directors(rest_blocks[b], rest_clamp_of, clamps, w);
+    for (int i = 0; i < 3; ++i) {
+      Real c = sqrt(Real(0.5) + Real(0.5) * w.q.c[i]), s = (Real(0.5) * w.q.s[i]) / c;
+      Turn& turn = turns[b];
+      for (int lane = 0; lane < LANES; ++lane) {
+        bool on = lane < blocks[b].count && rest_clamp_of[3 * (blocks[b].first + lane) + i] >= 0;
+        turn.share[i].p[lane] = on ? 0.5 : 0.0;
+        turn.s[i].p[lane] = on ? s[lane] : 0.0, turn.c[i].p[lane] = on ? c[lane] : 1.0;
+        w.q.s[i].p[lane] = on ? s[lane] : free.s[i][lane], w.q.c[i].p[lane] = on ? c[lane] : free.c[i][lane];
+      }
+    }
+  }
+
+  // Share of the rest shape's turn about edge i that acts on q, not on q_rest.
+  Real turned(size_t b, int i) const { return turns.empty() ? Real(0.0) : turns[b].share[i]; }
+
+  // Blocks in which the half edges of clamp_of turn with their own triangle alone.
+  std::vector<Block> clamped_blocks(const int* corner, const std::vector<int>& clamp_of) const {
+    auto made = make_blocks(mesh, corner);
+    for (size_t half = 0; half < clamp_of.size(); ++half) {
+      int t = (int)half / 3, i = (int)half % 3;
+      if (clamp_of[half] >= 0)
+        made[t / LANES].own[i][t % LANES] = 1.0f, made[t / LANES].other[i][t % LANES] = 0.0f;
+    }
+    return made;
   }
 
   template <int order>
@@ -65,23 +98,26 @@ class ElasticModel final : public Elastic {
 
   void set_clamps(const std::vector<Clamp>& list) override {
     clamps = list;
+    bool any_at_rest = std::any_of(list.begin(), list.end(), [](const Clamp& k) { return k.at_rest; });
     clamp_of.assign(list.empty() ? 0 : 3 * (size_t)mesh.triangles, -1);
-    blocks = make_blocks(mesh, mesh.corner.data());
+    rest_clamp_of.assign(any_at_rest ? clamp_of.size() : 0, -1);
     for (size_t k = 0; k < clamps.size(); ++k) {
       clamp_of[clamps[k].half_edge] = (int)k;
-      int t = clamps[k].half_edge / 3, i = clamps[k].half_edge % 3;
-      blocks[t / LANES].own[i][t % LANES] = 1.0f, blocks[t / LANES].other[i][t % LANES] = 0.0f;
+      if (clamps[k].at_rest) rest_clamp_of[clamps[k].half_edge] = (int)k;
     }
+    blocks = clamped_blocks(mesh.corner.data(), clamp_of);
   }
 
   void set_rest(const double* points, const int* corners, bool flat) override {
     int count = mesh.triangles ? 1 + *std::max_element(corners, corners + 3 * (size_t)mesh.triangles) : 0;
     rest_points.assign(points, points + 3 * (size_t)count);
     still.assign(std::max(rest_points.size(), mesh.start.size()), 0.0);
-    rest_blocks = make_blocks(mesh, corners);
+    rest_blocks = clamped_blocks(corners, rest_clamp_of);
     rest_flat = flat;
+    turns.resize(flat || rest_clamp_of.empty() ? 0 : blocks.size());
     for (size_t b = 0; b < blocks.size(); ++b) {
       Local w = rest_local(b), start = local_shape<false>(blocks[b], mesh.start.data(), still.data());
+      if (!turns.empty()) share_turns(b, w);
       rest[b].q = w.q;
       for (int i = 0; i < 3; ++i) {
         if (flat) rest[b].q.s[i] = 0.0, rest[b].q.c[i] = 1.0;
@@ -237,9 +273,13 @@ class ElasticModel final : public Elastic {
       const Rest& r = rest[b];
       Invariants<T> q = lift<T>(w.q), qr;
       for (int i = 0; i < 3; ++i) {
-        q.l[i].d[i] = D(1.0), q.s[i].d[3 + i] = D(w.q.c[i]), q.c[i].d[3 + i] = D(-w.q.s[i]);
+        const Real on = turned(b, i), off = Real(1.0) - on;
+        const D s = wave<9>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<9>(w.q.c[i], on * w.q.s[i], 3 + i);
+        q.l[i].d[i] = D(1.0);
+        q.s[i] = T(s), q.s[i].d[3 + i] = c, q.c[i] = T(c), q.c[i].d[3 + i] = D(-1.0) * s;
         qr.l[i] = T(variable<9>(r.q.l[i], i));
-        qr.s[i] = T(wave<9>(r.q.s[i], r.q.c[i], 3 + i)), qr.c[i] = T(wave<9>(r.q.c[i], -r.q.s[i], 3 + i));
+        qr.s[i] = T(wave<9>(r.q.s[i], off * r.q.c[i], 3 + i));
+        qr.c[i] = T(wave<9>(r.q.c[i], -off * r.q.s[i], 3 + i));
       }
       Fabric<T> f{T(variable<9>(r.fabric.thickness, 6)), T(variable<9>(r.fabric.young, 7)),
                   T(variable<9>(r.fabric.poisson, 8))};
@@ -269,10 +309,14 @@ class ElasticModel final : public Elastic {
       };
       Invariants<T> q = lift<T>(w.q), qr;
       for (int i = 0; i < 3; ++i) {
-        Real turn = rate_of(3 + i);
-        q.l[i].d[0] = D(rate_of(i)), q.s[i].d[0] = D(w.q.c[i] * turn), q.c[i].d[0] = D(-w.q.s[i] * turn);
+        const Real on = turned(b, i), off = Real(1.0) - on;
+        const D s = wave<6>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<6>(w.q.c[i], on * w.q.s[i], 3 + i);
+        const D turn = D(rate_of(3 + i));
+        q.l[i].d[0] = D(rate_of(i));
+        q.s[i] = T(s), q.s[i].d[0] = turn * c, q.c[i] = T(c), q.c[i].d[0] = D(-1.0) * turn * s;
         qr.l[i] = T(variable<6>(r.q.l[i], i));
-        qr.s[i] = T(wave<6>(r.q.s[i], r.q.c[i], 3 + i)), qr.c[i] = T(wave<6>(r.q.c[i], -r.q.s[i], 3 + i));
+        qr.s[i] = T(wave<6>(r.q.s[i], off * r.q.c[i], 3 + i));
+        qr.c[i] = T(wave<6>(r.q.c[i], -off * r.q.s[i], 3 + i));
       }
       auto e = model_energy<Model, T>(q, w.dl, r, qr, lift<T>(r.fabric));
       T sum = e.stretching + e.bending;

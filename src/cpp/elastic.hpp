@@ -23,10 +23,12 @@ struct Mesh {
 };
 
 // A half edge whose director is held in space (a clamp). vector: the unit vector held: the director itself
-// (conormal false) or the in-plane normal of the edge (conormal true).
+// (conormal false) or the in-plane normal of the edge (conormal true). at_rest: the
+// rest shape lies where the clamp is and is at rest in it as it lies there; alpha then counts from the middle
+// between the clamp and the rest shape.
 struct Clamp {
   int half_edge;
-  bool conormal;
+  bool conormal, at_rest;
   double vector[3];
 };
 
@@ -47,6 +49,7 @@ class Elastic {
 
   virtual void set_clamps(const std::vector<Clamp>& clamps) = 0;
   // Rest shape: a mesh with the same triangles and vertex numbering of its own; flat rests have no fold.
+  // Clamps come first.
   virtual void set_rest(const double* points, const int* corners, bool flat) = 0;
   // Per triangle: thickness (m), Young's modulus (Pa), Poisson's ratio.
   virtual void set_fabric(const double* thickness, const double* young, const double* poisson) = 0;

@@ -95,13 +95,15 @@ static void bind_model(nb::module_& m) {
       .def("set_turn_weights",
            [](Model& s, Doubles w) { s.elastic->set_turn_weights(sized(w, 3 * s.count(), "turn weights")); })
       .def("set_clamps",
-           [](Model& s, Ints half_edges, Ints conormal, Doubles vectors) {
+           [](Model& s, Ints half_edges, Ints conormal, Ints at_rest, Doubles vectors) {
              std::vector<Clamp> clamps(half_edges.size());
              sized(conormal, clamps.size(), "conormal");
+             sized(at_rest, clamps.size(), "at_rest");
              sized(vectors, 3 * clamps.size(), "vectors");
              for (size_t k = 0; k < clamps.size(); ++k) {
                const double* v = vectors.data() + 3 * k;
-               clamps[k] = {half_edges.data()[k], conormal.data()[k] != 0, {v[0], v[1], v[2]}};
+               clamps[k] = {
+                   half_edges.data()[k], conormal.data()[k] != 0, at_rest.data()[k] != 0, {v[0], v[1], v[2]}};
                if (clamps[k].half_edge < 0 || clamps[k].half_edge >= (int)(3 * s.count()))
                  throw nb::value_error("clamps: half edge out of range");
              }

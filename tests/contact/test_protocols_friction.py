@@ -4,6 +4,8 @@ import numpy as np
 import protocols
 import pytest
 
+from voile.contact.obstacles import Motion, Plane
+
 
 @pytest.mark.parametrize("friction", [0.1, 0.4, 1.5])
 def test_dragged_sheet(friction):
@@ -75,3 +77,21 @@ def test_long_steps_do_not_leave_the_branch():
     assert slip.path.converged and slip.path.stable, slip.path.reason
     assert np.isnan(slip.after) and np.isnan(slip.landed)
     assert not any(step.way.startswith("snap") for step in slip.path.steps)
+
+
+@pytest.mark.parametrize("steps", [1, 4, 10])
+def test_a_sheet_lies_still_on_a_plane_that_moves(steps):
+    """Nothing supports it: friction carries it along, the first load step, which knows no reactions yet, included."""
+    points, triangles = protocols.plate(0.3, 0.3, 0.05)
+    shell = protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0)
+    motion = Motion(
+        displacement=np.array([0.2, 0.0, 0.1]),
+        rotation=np.array([0.0, 0.0, 1.0]),
+        center=np.array([1.0, 0.5, 0.0]),
+    )
+    floor = Plane(name="floor", friction=0.4, point=np.zeros(3), normal=protocols.UP, motion=motion)
+    path, problem = protocols.solve(shell, floor, steps)
+    assert path.converged and path.stable
+    assert np.abs(problem.positions(path.state) - motion.place(points, 1.0)).max() < 1e-6
+    report = path.steps[-1].contact
+    assert report["slip"] == 0 and report["stick"] == len(points)

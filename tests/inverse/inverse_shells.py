@@ -3,7 +3,6 @@
 import numpy as np
 
 from voile.elastic import model_name
-from voile.mesh import build_topology
 from voile.problem.shell import Shell
 
 
@@ -58,6 +57,19 @@ def hanging_sheet(**more) -> Shell:
     return shell(points, triangles, fixed, **more)
 
 
+def clamped_sheet(**more) -> Shell:
+    """A curved sheet clamped along one edge, one line of vertices."""
+    sheet = hanging_sheet(**more)
+    sheet.fixed = np.repeat(sheet.points[:, :1] < 1e-9, 3, axis=1)
+    sheet.clamped_edges = held_edges(sheet)
+    return sheet
+
+
+def held_edges(shell: Shell) -> np.ndarray:
+    """Edges both of whose ends are held."""
+    return np.flatnonzero(shell.fixed[shell.topology.edges].all(axis=(1, 2))).astype(np.int32)
+
+
 def panels(**more) -> Shell:
     """Two sheets sewn along an edge, held at their far ends."""
     points, triangles = grid(3, 3, 0.15, 0.2)
@@ -82,15 +94,15 @@ def panels(**more) -> Shell:
     )
 
 
-def strip(cells: int, length: float, width: float, **more) -> Shell:
-    """A straight horizontal strip along x, `length` from its clamp at x = 0, behind which one more cell is held."""
-    points, triangles = grid(cells + 1, 2, length * (1 + 1 / cells), width)
-    points[:, 0] -= length / cells
+def strip(cells: int, length: float, width: float, behind: int = 1, **more) -> Shell:
+    """A straight horizontal strip along x, `length` from its clamp at x = 0, behind which so many more cells are
+    held."""
+    points, triangles = grid(cells + behind, 2, length * (1 + behind / cells), width)
+    points[:, 0] -= behind * length / cells
     fixed = np.repeat(points[:, :1] < 0.5 * length / cells, 3, axis=1)
-    edges = build_topology(triangles).edges
-    held = fixed[:, 0]
-    clamped = np.flatnonzero(held[edges].all(axis=1)).astype(np.int32)
-    return shell(points, triangles, fixed, clamped_edges=clamped, **more)
+    made = shell(points, triangles, fixed, **more)
+    made.clamped_edges = held_edges(made)
+    return made
 
 
 def folded_skirt(around: int = 40, down: int = 6, irregular: float = 0.2, **more) -> Shell:

@@ -1,6 +1,7 @@
 """Inverse statics at a target: closed forms, stability, contact and friction."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,11 +25,11 @@ def solve(shape, obstacles=(), **options):
     return solve_inverse(problem, shape, list(obstacles), 0.5e-3, InverseOptions(**options))
 
 
-def heavy_strip(gamma, upwards=False, cells=60):
+def heavy_strip(gamma, upwards=False, cells=60, behind=1):
     """gamma = rho g h L^3 / B; nu = 0 makes the strip a beam with B = E h^3 / 12."""
     rigidity = DENSITY * 9.81 * THICKNESS * LENGTH**3 / gamma
     shape = strip(
-        cells, LENGTH, WIDTH, bending="tan", young=12.0 * rigidity / THICKNESS**3, thickness=THICKNESS,
+        cells, LENGTH, WIDTH, behind, bending="tan", young=12.0 * rigidity / THICKNESS**3, thickness=THICKNESS,
         density=DENSITY,
     )  # fmt: skip
     shape.poisson[:] = 0.0
@@ -37,10 +38,11 @@ def heavy_strip(gamma, upwards=False, cells=60):
     return shape, rigidity
 
 
+@pytest.mark.parametrize("behind", [0, 1], ids=["held along a line", "held behind the clamp"])
 @pytest.mark.parametrize("gamma", [1.0, 10.0, 50.0])
-def test_strip_that_must_hang_straight_has_the_curvature_of_its_moment(gamma):
+def test_strip_that_must_hang_straight_has_the_curvature_of_its_moment(gamma, behind):
     """kappa(s) = rho g h (L - s)^2 / (2 B): the moment of the overhang over the rigidity."""
-    shape, rigidity = heavy_strip(gamma)
+    shape, rigidity = heavy_strip(gamma, behind=behind)
     result = solve(shape)
     assert result.converged and result.stable
     assert result.simulation.sag < 1e-9 and result.disturbed.sag < 1e-6
@@ -50,12 +52,25 @@ def test_strip_that_must_hang_straight_has_the_curvature_of_its_moment(gamma):
     length = np.linalg.norm(step, axis=1)
     turn = np.diff(np.arctan2(step[:, 2], step[:, 0]))
     curvature = 2.0 * np.tan(turn / 2.0) / (0.5 * (length[1:] + length[:-1]))  # the discrete measure of `tan`
-    s = LENGTH / 60 * np.arange(len(turn))
+    s = LENGTH / 60 * (np.arange(len(turn)) + 1 - behind)
     exact = DENSITY * 9.81 * THICKNESS * (LENGTH - s) ** 2 / (2.0 * rigidity)
     mean, expected = (
         0.5 * (k[1:] + k[:-1]) for k in (curvature, exact)
     )  # diagonals alternate from cell to cell
     np.testing.assert_allclose(mean[1:30], expected[1:30], rtol=5e-3)
+
+
+def test_a_rest_shape_in_place_is_at_rest_in_its_clamp():
+    """Statics with the rest shape found end in the target, also where the start turns the clamped edge a little."""
+    shape, _ = heavy_strip(10.0, behind=0)
+    result = solve(shape)
+    rest = result.target.x + result.target.problem.motion(result.rest)
+    for slope, bound in ((0.0, 1e-9), (1e-3, 3e-6)):
+        turned = result.target.x + np.outer(np.sin(9.0 * result.target.x[:, 0]), [0.0, 0.0, slope / 9.0])
+        problem = Problem(replace(shape, points=turned, rest_points=rest), MPI.COMM_SELF)
+        path = solve_statics(problem, StaticsOptions(load_steps=1))
+        assert path.converged and path.stable
+        assert np.abs(problem.positions(path.state) - result.target.x).max() < bound * LENGTH
 
 
 def test_a_step_that_overshoots_is_cut():

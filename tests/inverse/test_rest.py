@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from inverse_shells import hanging_sheet, panels
+from inverse_shells import clamped_sheet, hanging_sheet, panels
 from mpi4py import MPI
 
 from voile.problem.discrete import Problem
@@ -22,7 +22,7 @@ def wave(problem, frequency, size):
 
 
 @pytest.mark.parametrize("bending", ["average", "sin", "tan", "theta"])
-@pytest.mark.parametrize("build", [hanging_sheet, panels])
+@pytest.mark.parametrize("build", [hanging_sheet, clamped_sheet, panels])
 def test_the_residual_by_the_rest_shape_is_exact_to_second_order(bending, build):
     problem = Problem(build(bending=bending), MPI.COMM_SELF)
     rest = RestShape(problem)
@@ -46,7 +46,7 @@ def test_the_residual_by_the_rest_shape_is_exact_to_second_order(bending, build)
     np.testing.assert_allclose(np.log10(left[:-1] / left[1:]), 2.0, atol=0.1)
 
 
-@pytest.mark.parametrize("build", [hanging_sheet, panels])
+@pytest.mark.parametrize("build", [hanging_sheet, clamped_sheet, panels])
 def test_pulling_without_the_matrix_is_its_transpose(build):
     problem = Problem(build(bending="tan"), MPI.COMM_SELF)
     rest = RestShape(problem)

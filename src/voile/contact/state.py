@@ -128,6 +128,11 @@ class Contact:
         return FIRM * self.stiffness
 
     @property
+    def moves(self) -> bool:
+        """Whether an obstacle moves along the load path."""
+        return any(o.motion.moves for o in self.obstacles)
+
+    @property
     def frictions(self) -> list[tuple[str, float]]:
         """Each partner's name and Coulomb coefficient."""
         own = [("itself", self.itself.friction)] if self.itself else []

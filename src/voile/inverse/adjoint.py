@@ -120,6 +120,7 @@ class Objective:
         self.state = self.start.copy()
         self.at: PETSc.Vec | None = None
         self.best = math.inf, math.inf  # objective and its sag
+        self.shifted = 0.0  # multiple of the identity in the Hessian
 
     # ---- the map from rest shape to equilibrium ----
 
@@ -202,6 +203,11 @@ class Objective:
         out.axpy(self.regularisation, _scaled(self.metric, v))
         idle = self.design.idle()
         out.array[idle] = v.array_r[idle]
+        out.axpy(self.shifted, v)
+
+    def shift(self, _matrix: PETSc.Mat, by: float) -> None:
+        """Adds a multiple of the identity to the Hessian, until the next one."""
+        self.shifted += by
 
     def _pull(self, v: PETSc.Vec) -> PETSc.Vec:
         """-D^T K^-T v."""
@@ -278,6 +284,7 @@ def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
     def accepted(_tao, z, _hessian, _preconditioner) -> None:
         objective.simulate(z)
         objective.accept()
+        objective.shifted = 0.0
 
     tao.setHessian(accepted, hessian, hessian)
     tao.setInitialTrustRegionRadius(radius)

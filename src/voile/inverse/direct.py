@@ -14,6 +14,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.inverse.target import Target
+from voile.problem.scales import force_floor
 from voile.solver.newton import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
@@ -22,6 +23,7 @@ IDLE = 10  # of them without a smaller residual
 CYCLING = 2  # of them after which a step must lessen it
 SHARES = 1.0, 0.5, 0.25, 0.125  # of a step, tried then
 EASY = 5  # iterations after which the next step doubles
+NARROWEST = 1.0 / 64.0  # step of the way home from an equilibrium beside the target
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
 ROUND_OFF = 4e-15  # relative, of the residual's evaluation
@@ -88,9 +90,7 @@ class Direct:
         ended in larger steps, to go on with."""
         z, lost = self.problem.create_vector(), None
         if path is None:
-            path = DirectPath(rest=z.copy())
-            if guess is not None and self._take(guess, path, on_step):
-                return path
+            path = (guess and self.begin_with(guess, on_step)) or DirectPath(rest=z.copy())
         while path.fraction < 1.0 and path.step >= smallest:
             fraction = min(1.0, path.fraction + path.step)
             path.rest.copy(z)
@@ -127,19 +127,33 @@ class Direct:
         self.rest.set(z)
         self.target.hold(z)
 
-    def _take(self, guess: PETSc.Vec, path: DirectPath, on_step: Progress | None) -> bool:
-        """Whether Newton's method from a guess ends stable under the full load; then the path is complete."""
+    def home(self, state: PETSc.Vec, rest: PETSc.Vec, on_step: Progress | None = None) -> DirectPath | None:
+        """The complete path, where the way from an equilibrium beside the target under the full load (unknowns and its
+        rest shape) straight to the target is one of stable equilibria."""
+        away, z, left, step = state.copy(), rest.copy(), 1.0, 1.0
+        away.array[~self.rest.is_vertex] = 0.0
+        while left and step >= NARROWEST:
+            away.copy(self.moved)
+            ahead, trial = max(left - step, 0.0), z.copy()
+            self.moved.scale(ahead)
+            if self.solve(trial, 1.0)[0] or self.negative(trial):
+                step *= 0.5
+                continue
+            z, left, step = trial, ahead, 2.0 * step
+        self.moved.set(0.0)
+        return None if left else self.begin_with(z, on_step)
+
+    def begin_with(self, guess: PETSc.Vec, on_step: Progress | None = None) -> DirectPath | None:
+        """The complete path, where Newton's method from a guess ends stable under the full load."""
         z = guess.copy()
         reason, norm, iterations = self.solve(z, 1.0)
-        path.iterations += iterations
         if reason or self.negative(z):
-            return False
-        path.rest, path.fraction, path.residual, path.converged = z, 1.0, norm, True
-        path.steps.append(DirectStep(1.0, iterations, norm, 0))
+            return None
+        step = DirectStep(1.0, iterations, norm, 0)
         if on_step:
-            on_step(path.steps[-1])
+            on_step(step)
         self._go_to(z, 1.0)
-        return True
+        return DirectPath(z, 1.0, True, residual=norm, iterations=iterations, steps=[step])
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
         """Newton's method at a fraction of the load from z, which ends at the solution: reason of a failure or empty,
@@ -214,7 +228,7 @@ class Direct:
     def floor(self) -> float:
         """Round-off of the residual (N): of positions times stiffness."""
         if not self.matrix.isAssembled():
-            return 0.0
+            return force_floor(self.problem)
         return ROUND_OFF * self.matrix.norm(PETSc.NormType.INFINITY) * self.problem.size()
 
     def negative(self, z: PETSc.Vec) -> int:

@@ -67,6 +67,8 @@ class Balance:
     def solve(self, cones: Cones) -> np.ndarray | None:
         """(c, 3) reactions (N), or None where no reactions in the cones balance the loads."""
         k = len(self.resultant)
+        if not self.scale:
+            return np.zeros_like(self.load)
         factor = np.zeros(k)
         value, gradient, hessian, r = self._dual(cones, factor)
         for _ in range(MOST):

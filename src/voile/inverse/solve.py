@@ -25,6 +25,7 @@ from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
 NEAR = 2.0  # sags of the nearest answer: a simulation that stays there
+FAR = 0.1  # sizes: a simulation that ends further from the target has nothing to do with it
 STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
 COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
@@ -85,7 +86,11 @@ class InverseResult:
     def converged(self) -> bool:
         """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
         found = self.direct.converged or self.nearest is not None or self.adjoint is not None
-        return found and self.stable and self.simulation.stable and not self._drifts
+        return found and self.stable and self.simulation.stable and not (self._drifts or self._far)
+
+    @property
+    def _far(self) -> bool:
+        return (self.nearest or self.simulation).sag > FAR
 
     @property
     def _drifts(self) -> bool:
@@ -94,8 +99,9 @@ class InverseResult:
 
     @property
     def reason(self) -> str:
+        far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
         settles = "" if self.disturbed.path.converged else "; the simulation from beside it did not settle"
-        return self._finding() + settles
+        return self._finding() + far + settles
 
     def _finding(self) -> str:
         if not self.simulation.path.converged:
@@ -120,7 +126,9 @@ class InverseResult:
             return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
         if not self.stable:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
-        return f"nearest stable answer found; exactly, {self.direct.reason}"
+        return (
+            f"nearest stable answer found, with sag {self.simulation.sag:.2e}; exactly, {self.direct.reason}"
+        )
 
     def _unstable(self) -> str:
         return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
@@ -157,6 +165,8 @@ def solve_inverse(
         runs = (simulate(target, rest, options.tolerance, disturbed=d) for d in (False, True))
         return all(run.stable and run.sag <= NEAR * sag for run in runs)
 
+    if on_found and not path.converged and options.method != "direct":
+        on_found(path.rest)  # the search that follows may be long
     if not path.converged and options.method == "direct":
         path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
@@ -169,6 +179,11 @@ def solve_inverse(
             )
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
+    beside = nearest or adjoint
+    exact = Direct(target).home(beside.state, beside.rest, on_step) if beside else None
+    if exact:  # past where the direct branch turned back
+        exact.iterations += path.iterations
+        path, nearest, adjoint = exact, None, None
     found = nearest or adjoint or path
     if not adjoint:
         target.hold(found.rest)  # the search for the least margin ends at another one

@@ -5,12 +5,15 @@ import numpy as np
 from voile.errors import InputError
 from voile.problem.shell import Shell
 
+IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does
+
 
 def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """What holds the directors of both sides of every clamped edge: (k, 5) rows of half edge, conormal flag,
-    unit vector; and the director angles (edges,) of the start shape.
+    """What holds the directors of both sides of every clamped edge: (k, 6) rows of half edge, flags conormal and at
+    rest (see Clamp in elastic.hpp), unit vector; and the director angles (edges,) of the start shape.
 
-    The director is that of the start shape (on an inner edge the bisector of the two normals). With all
+    The director is that of the start shape (on an inner edge the bisector of the two normals). A boundary whose
+    rest shape lies where the start shape is held is at rest in the clamp as it lies there. With all
     axes of the edge's ends supported it cannot move; with some free (a plane of symmetry, a guided edge)
     what is held is the director or the edge's in-plane normal, whichever lies along the supported axes. An
     edge in a plane of symmetry keeps the angle at which the start shape meets that plane (triangles
@@ -20,7 +23,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     topology = shell.topology
     angles = np.zeros(len(topology.edges))
     if not len(shell.clamped_edges) or shell.model.startswith("membrane"):  # a membrane does not bend
-        return np.zeros((0, 5)), angles
+        return np.zeros((0, 6)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
     half = np.flatnonzero(clamped[topology.triangle_edges.ravel()])
@@ -32,6 +35,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     other = topology.across.ravel()[half]
     neighbour = normal[np.where(other >= 0, other // 3, triangle)]
     director = _unit(normal[triangle] + neighbour)
+    at_rest = (other < 0) & _lies_at_rest(shell, triangle, corner)
     conormal = np.cross(along, director)
     free = ~(shell.fixed[start] & shell.fixed[end])
     slides = free.any(axis=1)
@@ -53,7 +57,19 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
             "tan or theta)"
         )
     vector = np.where(use_conormal[:, None], conormal, director)
-    return np.column_stack([half, use_conormal, vector]), angles
+    return np.column_stack([half, use_conormal, at_rest, vector]), angles
+
+
+def _lies_at_rest(shell: Shell, triangle: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """(k,) whether both ends of an edge are held on all axes and lie in the rest shape where they start."""
+    near = IN_PLACE * np.ptp(shell.points, axis=0).max()
+    there = np.ones(len(triangle), dtype=bool)
+    for k in (1, 2):
+        vertex = shell.triangles[triangle, (corner + k) % 3]
+        rest = shell.rest_points[shell.rest_triangles[triangle, (corner + k) % 3]]
+        off = np.abs(rest - shell.points[vertex]).max(axis=1, initial=0.0)
+        there &= shell.fixed[vertex].all(axis=1) & (off <= near)
+    return there
 
 
 def _plane_of_symmetry(free, along, conormal, loose) -> tuple[np.ndarray, np.ndarray]:

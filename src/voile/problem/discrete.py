@@ -78,14 +78,13 @@ class Problem:
             len(part.edge),
             np.ascontiguousarray(start),
         )
+        clamp = part.half_edge_clamp
+        if len(clamp):
+            half_edge, conormal, at_rest = np.ascontiguousarray(clamp[:, :3].astype(np.int32).T)
+            kernel.set_clamps(half_edge, conormal, at_rest, np.ascontiguousarray(clamp[:, 3:]))
         kernel.set_rest(part.rest_points, part.rest_corners, self.flat)
         kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
         kernel.set_weights(part.weight)
-        clamp = part.half_edge_clamp
-        if len(clamp):
-            kernel.set_clamps(
-                clamp[:, 0].astype(np.int32), clamp[:, 1].astype(np.int32), np.ascontiguousarray(clamp[:, 2:])
-            )
         return kernel
 
     def set_rest(self, points: np.ndarray, flat: bool = False) -> None:

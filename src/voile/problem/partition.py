@@ -44,7 +44,7 @@ class Part:
     force: np.ndarray
     mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
     moment: np.ndarray
-    half_edge_clamp: np.ndarray  # (k, 5): local half edge, conormal flag, vector
+    half_edge_clamp: np.ndarray  # (k, 6): local half edge, flags conormal and at rest, vector
     owned: int
     first_global: int
     ghost_global: np.ndarray
@@ -155,7 +155,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
 
 
 def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: np.ndarray) -> Part:
-    """The part of one rank. clamps (k, 5) as Part.half_edge_clamp, with global half edges."""
+    """The part of one rank. clamps (k, 6) as Part.half_edge_clamp, with global half edges."""
     n, topology = len(shell.points), shell.topology
     edges = len(topology.edges)
     triangles = _needed_triangles(shell, constraints, numbering, rank)

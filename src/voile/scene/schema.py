@@ -124,7 +124,11 @@ class BodyMove:
 class Fix:
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
-    clamp: bool = key(Boolean(), "also hold the directors: no rotation there", default=False)
+    clamp: bool = key(
+        Boolean(),
+        "also hold the directors: no rotation there (of a rest shape in place: from its own angle)",
+        default=False,
+    )
     move: Move | None = key(Table(Move), "prescribed motion along the held axes", default=None)
 
     def check(self, given: set[str]) -> None:

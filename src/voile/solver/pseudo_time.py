@@ -38,10 +38,11 @@ class PseudoTime:
         self.solver, self.problem, self.contact = solver, solver.problem, solver.contact
         # steps without, and between, tries of the semismooth method; whether descent still settles them
         self._wait, self._patience, self._settles = 0, 0, True
+        self._carried = True  # obstacles have taken along what sticks to them
 
     def run(self, y: PETSc.Vec, wanted: float) -> Outcome:
         solver, problem, base = self.solver, self.problem, self.solver.base
-        self._settles, kick = not self.contact.itself, 0
+        self._settles, self._carried, kick = not self.contact.itself, not self.contact.moves, 0
         mass, slow = problem.mass(), slow_rate(problem)
         loads, began = max(problem.load_norm(y), wanted / 1e-8), self.contact.state.copy()
         # peak: of the pull (N) since the semismooth method was last tried without it
@@ -51,6 +52,7 @@ class PseudoTime:
                 home, before = y.copy(), solver.iterations
                 problem.anchor = Anchor(home, rate, mass)
                 done = self._step(y, wanted, ROUGH * loads, 0.5 * pull)
+                self._carried |= bool(done)
                 if not done:
                     rate *= 1.0 if self._sharpened(y, wanted) else 4.0
                     if rate > LAST_RATE * slow:
@@ -90,7 +92,7 @@ class PseudoTime:
         found = solver.attempt(solver.directly, y, wanted)
         if not (found.converged or found.saddle) and self._sharpened(y, wanted):
             found = solver.attempt(solver.directly, y, wanted)
-        if found.converged and self.problem.supported:
+        if found.converged and (self.problem.supported or self.contact.moves):
             self._recall(y, wanted, began)
         return replace(found, way="pseudo-time")
 
@@ -111,11 +113,13 @@ class PseudoTime:
 
     def _step(self, y: PETSc.Vec, wanted: float, rough: float, pull: float) -> int:
         """DONE, UNFINISHED or (0) failed: by the semismooth method, which waits longer and longer after it has failed,
-        else by descent until the reactions have settled. Where supports move the shell friction must remember: the laws
-        hold in every step. Else, once such a descent has failed, a part of their mismatch is left to the next step, as
-        rough as the last step's pull (N) allows; between layers at once, which take long to settle."""
+        else by descent until the reactions have settled. The first step is also that of moving obstacles. Where
+        supports move the shell friction must remember: the laws hold in every step. Else, once such a descent has
+        failed, a part of their mismatch is left to the next step, as rough as the last step's pull (N) allows; between
+        layers at once, which take long to settle."""
         solver = self.solver
-        solver.begin(y)
+        if self._carried:
+            solver.begin(y)
         reduced = REDUCED * solver.norm(y)
         tolerance = max(wanted, min(rough, reduced))
         exact = self.problem.supported and not self.contact.itself

@@ -12,9 +12,11 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.contact.state import Contact
 from voile.problem.anchor import difference
 from voile.problem.contact import contact_report
 from voile.problem.discrete import Problem
+from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
 from voile.solver.frictional import FrictionalSolver
 from voile.solver.newton import Newton
@@ -27,6 +29,7 @@ CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 LEAP = 5.0  # times the motion to be expected that a step may make
 NOTABLE = 0.01  # sizes of the shell: a smaller motion is none
 SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
+NEARBY = 1e-3  # sizes: a gap at which an obstacle touches
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
 
@@ -63,6 +66,10 @@ class Pace:
         self.cuts += 1
         self.step = self.longest if self.last_resort else 0.25 * self.step
 
+    def whole(self) -> None:
+        """After a step that failed where nothing but the loads leads the shell: all that is left of them at once."""
+        self.step = self.longest = self.nominal = 1.0
+
     def leapt(self) -> None:
         """After a step that has to be taken back."""
         self.step = self.longest = 0.25 * (self.target - self.factor)
@@ -83,11 +90,13 @@ def follow_contact(
     on_step: Progress | None,
 ) -> None:
     """Load steps of 1/load_steps, no longer: friction depends on the path. Where the semismooth method fails, the
-    step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step. A leap is
-    cut, too, until it is certain that the shell snaps."""
+    step is cut; where cuts do not help (buckling, slip that runs away), the other ways take the whole step; where that
+    fails and nothing moves, the full load is tried at once. A leap is cut, too, until it is certain that the shell
+    snaps."""
     solver = FrictionalSolver(problem, snes, newton, options.perturbation, options.fast)
     # A smaller load does not hold what nothing holds.
     pace = Pace(1.0 / options.load_steps, CUTS if problem.supported else 0)
+    moving = problem.moves or solver.contact.moves
     problem.load_factor = 0.0
     begin(problem, y)
     while pace.factor < 1.0:
@@ -97,9 +106,14 @@ def follow_contact(
             return
         path.attempts += 1
         problem.load_factor, start = pace.target, solver.base.here(y)
+        if solver.contact.moves and not problem.supported:
+            _carry(problem, y, pace)
         done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
         solver.base.unknowns(start).copy(path.state)
         if done is None:
+            if pace.last_resort and pace.nominal < 1.0 and not (moving or outcome.gone):
+                pace.whole()
+                continue
             if pace.last_resort:
                 path.reason = f"{outcome.reason}; at load factor {pace.target:g}"
                 problem.load_factor = pace.factor
@@ -113,7 +127,7 @@ def follow_contact(
             solver.base.put(y, start)
             pace.leapt()
             continue
-        if options.stability and (leaps or pace.target == 1.0):
+        if options.stability and (leaps or not stable or pace.target == 1.0):
             done, stable = _settle(solver, y, done, options, path)
         done.way = f"snap by {done.way}" if leaps and problem.supported else done.way
         pace.done(done.iterations, moved, leaps)
@@ -128,18 +142,36 @@ def follow_contact(
 
 def begin(problem: Problem, y: PETSc.Vec) -> None:
     """Slip is measured from here on."""
+    _contact(problem).begin(problem.positions(y), problem.load_factor)
+
+
+def _contact(problem: Problem) -> Contact:
     assert problem.contact is not None
-    problem.contact.begin(problem.positions(y), problem.load_factor)
+    return problem.contact
+
+
+def _carry(problem: Problem, y: PETSc.Vec, pace: Pace) -> None:
+    """Moves a shell that nothing supports with the obstacle that bears it, or else touches most of it, over the next
+    load step: it starts where it sticks, however far that is."""
+    contact, x, state = _contact(problem), problem.positions(y), _contact(problem).state
+    bears = np.array([normal[problem.own].sum() for normal in state.normal[: len(contact.obstacles)]])
+    near = [contact.gap(k, x, pace.factor) <= NEARBY * problem.size() for k in range(len(bears))]
+    touches = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
+    bears, touches = problem.comm.allreduce(np.array([bears, touches]))
+    most = int(np.argmax(bears if bears.any() else touches))
+    if bears[most] or touches[most]:
+        there = contact.obstacles[most].carry(x, pace.factor, pace.target)
+        y.axpy(1.0, field_vector(problem, there - x))
 
 
 def _expected(problem: Problem, pace: Pace) -> float:
     """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or of
     obstacles beside the shell."""
-    assert problem.contact is not None
-    start, end, state = pace.factor, pace.target, problem.contact.state
+    start, end, contact = pace.factor, pace.target, _contact(problem)
+    state = contact.state
     x = state.reference[problem.own]
     paths = [(end - start) * problem.part.lift[: state.reference.size]]
-    paths += [(o.carry(x, start, end) - x).ravel() for o in problem.contact.obstacles]
+    paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
     farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
     driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
     return max(pace.rate * (end - start), driven, NOTABLE / LEAP)
