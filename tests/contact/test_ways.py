@@ -7,6 +7,7 @@ import pytest
 from voile.contact.obstacles import Plane
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
+from voile.solver.quasistatic import Pace
 from voile.solver.semismooth import Semismooth
 from voile.solver.ways import Base
 
@@ -40,3 +41,11 @@ def test_what_is_in_equilibrium_stays_where_a_singular_tangent_leads_away(monkey
     again, problem = protocols.solve(shell, floor, history=problem)
     assert again.converged and again.steps[-1].residual <= again.steps[-1].tolerance
     assert np.abs(problem.positions(again.state) - points).max() < 1e-12
+
+
+def test_all_of_the_load_is_next_where_a_part_of_it_fails():
+    pace = Pace(0.1, 2)
+    pace.done(20, 0.01, False)
+    assert pace.target == pytest.approx(0.2)
+    pace.whole()
+    assert pace.target == 1.0 and pace.nominal == 1.0

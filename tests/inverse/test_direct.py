@@ -73,6 +73,24 @@ def test_a_rest_shape_in_place_is_at_rest_in_its_clamp():
         assert np.abs(problem.positions(path.state) - result.target.x).max() < bound * LENGTH
 
 
+def test_the_target_is_reached_from_an_equilibrium_beside_it():
+    shape = folded_skirt(young=3e7)
+    target = Target(Problem(shape, MPI.COMM_SELF), shape, [], 0.5e-3, 1e-3)
+    direct = Direct(target)
+    exact = direct.follow()
+    assert exact.converged
+    wave = np.sin(20.0 * target.x[:, ::-1]) * (target.x[:, 2:] < -1e-6)
+    aside = target.field_vector(2e-3 * wave)
+    aside.copy(direct.moved)
+    beside = exact.rest.copy()
+    assert not direct.solve(beside, 1.0)[0]  # its own rest shape
+    state = direct.state(beside)
+    assert (beside - exact.rest).norm() > 1e-3 * exact.rest.norm()
+    found = direct.home(state, beside)
+    assert found and found.converged and direct.moved.norm() == 0.0
+    assert (found.rest - exact.rest).norm() < 1e-6 * exact.rest.norm()
+
+
 def test_a_step_that_overshoots_is_cut():
     """Newton's step thrice as long leaves twice the residual; the half of it, half the residual."""
     shape = folded_skirt(young=1e7)

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.target import Target
-from voile.inverse.verify import sag
+from voile.inverse.verify import Simulation, sag, simulate
 from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest, RestShape
 from voile.solver.frictional import FrictionalSolver
@@ -34,6 +34,8 @@ SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objec
 PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
 REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
 LEAST_AREA = 0.05  # of a rest triangle, over that of the first rest shape
+NEAR = 2.0  # sags of an answer beside the target: a simulation that stays there
+TRIED = 6  # iterates of panels that a simulation from the target does not end in
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
 
 
@@ -47,9 +49,19 @@ class AdjointStep:
     sag: float
 
 
+@dataclass(eq=False)
+class Iterate:
+    """Design variables, the equilibrium that the search found for them, and its sag over the size."""
+
+    rest: PETSc.Vec
+    state: PETSc.Vec
+    sag: float
+
+
 @dataclass
 class AdjointPath:
-    """The outcome: rest displacements with the director angles of their equilibrium `state`; reason: TAO's."""
+    """The best iterate: rest displacements with the director angles of their equilibrium `state`, the last of the
+    `trail` of ever better ones; reason: TAO's."""
 
     rest: PETSc.Vec
     state: PETSc.Vec
@@ -57,6 +69,7 @@ class AdjointPath:
     forward_solves: int = 0
     adjoint_solves: int = 0
     reason: int = 0
+    trail: list[Iterate] = field(default_factory=list)
 
 
 Progress = Callable[[AdjointStep], None]
@@ -120,6 +133,7 @@ class Objective:
         self.state = self.start.copy()
         self.at: PETSc.Vec | None = None
         self.best = math.inf, math.inf  # objective and its sag
+        self.trail: list[Iterate] = []  # the best so far, one after the other
         self.shifted = 0.0  # multiple of the identity in the Hessian
 
     # ---- the map from rest shape to equilibrium ----
@@ -190,6 +204,7 @@ class Objective:
         gradient.axpy(self.regularisation, changed)
         if found and value < self.best[0]:
             self.best = value, sag(self.target, self.state)
+            self.trail.append(Iterate(z.copy(), self.state.copy(), self.best[1]))
         return value if found else UNREACHABLE
 
     def mult(self, _matrix: PETSc.Mat, v: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -261,15 +276,31 @@ def minimise(
         try:
             tao.solve()
             path.reason = tao.getConvergedReason()
-            objective.simulate(z)
         finally:
             tao.destroy()
             objective.forward.snes.destroy()  # both call back to what holds them
-    path.state, path.rest = objective.state, z
+    path.trail = objective.trail
+    path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
+    design.set(path.rest)
     if surface:
         path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
     path.forward_solves, path.adjoint_solves = objective.forward.solves, objective.adjoint_solves
     return path
+
+
+def keep_what_is_reached(target: Target, path: AdjointPath, accuracy: float, panels: PanelRest) -> Simulation:
+    """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, or of the last few
+    the one that ends nearest: the search goes from equilibrium to equilibrium, a drape does not. That simulation."""
+    runs: list[tuple[Iterate, Simulation]] = []
+    for iterate in path.trail[: -1 - TRIED : -1]:
+        run = simulate(target, iterate.rest, accuracy, panels=panels, eigenvalue=True)
+        runs.append((iterate, run))
+        if run.stable and run.sag <= NEAR * iterate.sag:
+            break
+    kept, run = min(runs, key=lambda pair: (not pair[1].stable, pair[1].sag))
+    path.trail = path.trail[: path.trail.index(kept) + 1]
+    path.rest, path.state = kept.rest, kept.state
+    return run
 
 
 def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
@@ -295,10 +326,12 @@ def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
 
 
 def _defaults(tao: PETSc.TAO) -> None:
-    """What the options do not say: the trust region's first radius as set, few products, no preconditioner."""
+    """What the options do not say: the trust region's first radius as set; no reduction too small to be judged (TAO
+    takes all under 1e-6, and so small are sags of 1e-3); few products, no preconditioner."""
     options = PETSc.Options("inverse_")
-    if not options.hasName("tao_ntr_init_type"):
-        options.setValue("tao_ntr_init_type", "constant")
+    for name, value in {"tao_ntr_init_type": "constant", "tao_ntr_epsilon": "1e-30"}.items():
+        if not options.hasName(name):
+            options.setValue(name, value)
     tao.setFromOptions()
     ksp = tao.getKSP()
     if ksp:

@@ -24,6 +24,7 @@ MOST, SETTLED = 40, 1e-9  # iterations; change of the logarithms of the paramete
 STUCK = 1e-4  # the same of a step that should decrease the misfit and does not
 FARTHEST = np.log(4.0)  # change of a parameter in one iteration
 HALVINGS = 8
+NEARER = 0.9  # of the misfit: another branch
 DIFFERENCE = 1e-3  # of the logarithms in central differences
 # Least over largest singular value of sensitivities, from tangents and from differences, under which parameters cannot
 # be told apart.
@@ -84,13 +85,17 @@ class Estimation:
             step = -np.linalg.solve(gram, slope)
             step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
             moved = self._advance(p, step, states, misfit)
+            done = moved is None or np.abs(moved[0] - p).max() < SETTLED
+            nearer = self._from_observed(*(moved or (p, states))) if done else None
+            if nearer:
+                p, states = nearer
+                continue
             if moved is None and np.abs(step).max() > STUCK:
                 raise NotConverged(
                     f"estimation: no step along the descent direction decreases the misfit {history[-1][0]:.3e} m"
                 )
-            settled = moved is None or np.abs(moved[0] - p).max() < SETTLED
             p, states = moved or (p, states)
-            if settled:
+            if done:
                 return self._estimate(p, states, history)
         raise NotConverged(f"estimation: {MOST} iterations did not settle")
 
@@ -127,6 +132,24 @@ class Estimation:
             there = self._simulate(trial)
             if there is not None and self._misfit(there) < misfit:
                 return trial, there
+        self._simulate(p)
+        return None
+
+    def _from_observed(
+        self, p: np.ndarray, states: list[PETSc.Vec]
+    ) -> tuple[np.ndarray, list[PETSc.Vec]] | None:
+        """Equilibria that simulations from the observed shapes find much nearer to them: a poor first guess may have
+        led to another branch, which those that go on from the last ones never leave."""
+        if np.sqrt(self._misfit(states) / self.count) <= BLIND * self.observations[0].problem.size():
+            return None
+        last = [o.state for o in self.observations]
+        for observation in self.observations:
+            observation.state = observation.target.copy()
+        there = self._simulate(p)
+        if there is not None and self._misfit(there) < NEARER * self._misfit(states):
+            return p, there
+        for observation, state in zip(self.observations, last, strict=True):
+            observation.state = state
         self._simulate(p)
         return None
 

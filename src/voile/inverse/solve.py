@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
-from voile.inverse.adjoint import AdjointPath, minimise
+from voile.inverse.adjoint import NEAR, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
@@ -24,7 +24,6 @@ from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
-NEAR = 2.0  # sags of the nearest answer: a simulation that stays there
 FAR = 0.1  # sizes: a simulation that ends further from the target has nothing to do with it
 STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
 COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
@@ -106,10 +105,11 @@ class InverseResult:
     def _finding(self) -> str:
         if not self.simulation.path.converged:
             return self.simulation.path.reason
+        leaves = "" if self._stays() else "; a simulation from the target leaves it"
         if self.panels or self.trade:
             what = "flat panels" if self.panels else "developable rest shape"
             kind = "a stable" if self.stable else "an unstable"
-            return f"{what} with {kind} equilibrium near the target"
+            return f"{what} with {kind} equilibrium near the target{leaves}"
         if self.direct.converged:
             return (
                 "target in stable equilibrium"
@@ -117,18 +117,20 @@ class InverseResult:
                 else f"the target is unstable: {self._unstable()}"
             )
         if self.nearest:
-            stays = self.simulation.sag <= NEAR * self.nearest.sag
             found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
-            where = "" if stays else "; a simulation from the target leaves it"
-            where = "; a simulation from it leaves it" if self._drifts else where
+            where = "; a simulation from it leaves it" if self._drifts else leaves
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
             return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
         if not self.stable:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
-        return (
-            f"nearest stable answer found, with sag {self.simulation.sag:.2e}; exactly, {self.direct.reason}"
-        )
+        sag = f"with sag {self.simulation.sag:.2e}"
+        return f"nearest stable answer found, {sag}{leaves}; exactly, {self.direct.reason}"
+
+    def _stays(self) -> bool:
+        """Whether a simulation from the target ends in the answer that a search found beside it."""
+        sag = self.nearest.sag if self.nearest else self.adjoint.trail[-1].sag if self.adjoint else np.inf
+        return self.simulation.sag <= NEAR * sag
 
     def _unstable(self) -> str:
         return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
@@ -189,6 +191,8 @@ def solve_inverse(
         target.hold(found.rest)  # the search for the least margin ends at another one
     z, trade = found.rest, None
     if options.developable:
+        if on_found:
+            on_found(z)  # there may be none
         target.load(1.0)
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
         nearest = None
@@ -308,11 +312,11 @@ def solve_panels(
         on_iteration,
         panels,
     )
+    simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
     z, searched = adjoint.rest, time.perf_counter()
     if on_found:
         on_found(panels.coordinates(z))
     proving = time.perf_counter()
-    simulation = simulate(target, z, options.tolerance, panels=panels, eigenvalue=True)
     disturbed = simulate(target, z, options.tolerance, panels=panels, disturbed=True)
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     still = problem.create_vector()
