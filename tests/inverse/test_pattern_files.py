@@ -119,6 +119,8 @@ def test_a_hat_names_the_seam_that_does_not_match():
         0.1 < summary["panels"]["crown"]["mean_distortion"] < summary["panels"]["crown"]["distortion"] < 0.5
     )
     assert around + "0" in crown.notches.labels  # its rim has no corner where the brim's own seam meets it
+    marks = [[n for n in piece.notches.labels if n.startswith(around)] for piece in pattern.pieces]
+    assert sorted(marks[0]) == sorted(marks[1])  # whichever side has a corner there
 
 
 def test_summary_gives_areas_and_lengths(flat, pattern):

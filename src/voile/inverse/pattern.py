@@ -47,7 +47,7 @@ def make_pattern(
     x += shifts[panels.vertex_panel]
     turns = [outline[_corners(x[outline])] for outline in panels.outlines]
     labels = [_label(k) for k in range(len(panels.seams))]
-    pieces = []
+    pieces, corners = [], frozenset(np.concatenate(turns).tolist())
     for k, name in enumerate(panels.names):
         own = np.flatnonzero(panels.vertex_panel == k)
         here, first = panels.panel == k, own[0]
@@ -61,7 +61,7 @@ def make_pattern(
                 tuple(ring + shifts[k] for ring in cuts[k]),
                 turns[k] - first,
                 _grain_line(x[panels.outlines[k]]),
-                _notches(k, panels.seams, labels, x, turns[k]),
+                _notches(k, panels.seams, labels, x, corners),
             )
         )
     seams = [_sewn(seam, label, x, panels) for seam, label in zip(panels.seams, labels, strict=True)]
@@ -176,15 +176,17 @@ def _label(k: int) -> str:
     return (_label(k // 26 - 1) if k >= 26 else "") + chr(ord("A") + k % 26)
 
 
-def _notches(k: int, seams: Sequence[Seam], labels: list[str], x: np.ndarray, turns: np.ndarray) -> Notches:
-    """Of panel k: at NOTCHES of every seam that is long enough, and where one ends without a corner."""
+def _notches(
+    k: int, seams: Sequence[Seam], labels: list[str], x: np.ndarray, corners: frozenset[int]
+) -> Notches:
+    """Of panel k: at NOTCHES of every seam that is long enough, and where one ends without a corner on either side."""
     points, inward, names = [], [], []
     for seam, label in zip(seams, labels, strict=True):
         for side in (0, 1):
             if seam.panels[side] != k:
                 continue
             run, at = seam.sides[side], seam.at[side]
-            ends = [t for t, v in ((0.0, run[0]), (1.0, run[-1])) if v not in turns]
+            ends = [t for t, e in ((0.0, 0), (1.0, -1)) if not corners.issuperset(s[e] for s in seam.sides)]
             inner = NOTCHES if np.linalg.norm(np.diff(x[run], axis=0), axis=1).sum() >= NOTCHED else ()
             for t in sorted({*inner, *ends}):
                 edge = min(int(np.searchsorted(at, t, side="right")) - 1, len(at) - 2)
