@@ -256,3 +256,10 @@ def test_the_rest_shape_is_drawn_in_place_of_the_step(result, tmp_path):
     drawn = render(result, tmp_path / "step.png", field="strain")
     rest = render(result, tmp_path / "rest.png", field="strain", shape="rest")
     assert rest.stat().st_size > 5000 and rest.read_bytes() != drawn.read_bytes()
+
+
+def test_a_reader_that_has_read_enough_is_no_error():
+    command = [sys.executable, "-m", "voile.cli", "schema"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 0)

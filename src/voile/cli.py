@@ -25,11 +25,16 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv[:split])
     args.petsc = argv[split + 1 :]
     try:
-        return args.command(args) or 0
+        code = args.command(args) or 0
+        sys.stdout.flush()
+        return code
     except (InputError, NotConverged) as error:
         if _first_rank():
             print(f"voile: {error}", file=sys.stderr)
         return error.exit_code
+    except BrokenPipeError:  # who reads has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except Exception as error:
         if args.debug:
             raise

@@ -91,6 +91,12 @@ def test_the_target_is_reached_from_an_equilibrium_beside_it():
     assert (found.rest - exact.rest).norm() < 1e-6 * exact.rest.norm()
 
 
+def test_without_loads_the_target_is_its_own_rest_shape():
+    result = solve(folded_skirt(young=1e7, gravity=np.zeros(3)))
+    assert result.converged and result.direct.iterations == 0
+    assert result.rest.norm() == 0.0 and result.simulation.sag < 1e-12
+
+
 def test_a_step_that_overshoots_is_cut():
     """Newton's step thrice as long leaves twice the residual; the half of it, half the residual."""
     shape = folded_skirt(young=1e7)

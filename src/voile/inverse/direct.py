@@ -227,9 +227,8 @@ class Direct:
 
     def floor(self) -> float:
         """Round-off of the residual (N): of positions times stiffness."""
-        if not self.matrix.isAssembled():
-            return force_floor(self.problem)
-        return ROUND_OFF * self.matrix.norm(PETSc.NormType.INFINITY) * self.problem.size()
+        stiffness = self.matrix.norm(PETSc.NormType.INFINITY) if self.matrix.isAssembled() else 0.0
+        return max(ROUND_OFF * stiffness * self.problem.size(), force_floor(self.problem))
 
     def negative(self, z: PETSc.Vec) -> int:
         """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
