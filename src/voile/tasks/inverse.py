@@ -206,14 +206,18 @@ def _write_panels(scene, shell, folder: Path, flat, target: np.ndarray) -> dict:
 
 
 def _write_surface(scene, model, shell, folder: Path, rest: np.ndarray) -> dict:
-    """rest.obj of a rest shape (n, 3) m and the pattern of least distortion; the pattern's figures."""
+    """rest.obj of a rest shape (n, 3) m, its flat pattern as texture coordinates, and the pattern of least distortion;
+    the pattern's figures."""
     s = model.surface
+    laid = replace(shell, rest_points=rest)
+    figures, flat, corners = pattern_of_surface(
+        folder, model, laid, rest, scene.inverse.seam_allowance, _up(shell)
+    )
     write_obj(
-        folder / "rest.obj", rest, shell.triangles, groups=(s.group, s.group_names), stitches=s.stitches,
+        folder / "rest.obj", rest, shell.triangles, flat, corners, groups=(s.group, s.group_names), stitches=s.stitches,
         comment=f"{METRES}\n{_title(scene)}",
     )  # fmt: skip
-    shell = replace(shell, rest_points=rest)
-    return pattern_of_surface(folder, model, shell, rest, scene.inverse.seam_allowance, _up(shell))
+    return figures
 
 
 def _write_result(scene, model, shell, folder: Path, result, flat, comm) -> None:

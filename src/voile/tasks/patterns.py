@@ -97,10 +97,13 @@ def write_pattern_files(folder: Path, pattern: Pattern) -> dict:
 
 def pattern_of_surface(
     folder: Path, model, shell: Shell, rest: np.ndarray, allowance: float, up: np.ndarray | None
-) -> dict:
-    """The pattern of a rest surface (n, 3) m laid flat with the least distortion; says why where there is none."""
+) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
+    """The pattern of a rest surface (n, 3) m laid flat with the least distortion: its figures, and its points (p, 2) m
+    with those of each triangle's corners (m, 3). Says why where there is none."""
     try:
         flat = lay_flat(model, shell, rest, apart=False)
-        return write_pattern_files(folder, draw(flat, allowance, up))
+        pattern = draw(flat, allowance, up)
+        points = np.concatenate([piece.points for piece in pattern.pieces])
+        return write_pattern_files(folder, pattern), points, flat.panels.corners
     except (InputError, NotConverged) as reason:
-        return {"none": str(reason)}
+        return {"none": str(reason)}, None, None
