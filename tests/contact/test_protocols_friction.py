@@ -95,3 +95,13 @@ def test_a_sheet_lies_still_on_a_plane_that_moves(steps):
     assert np.abs(problem.positions(path.state) - motion.place(points, 1.0)).max() < 1e-6
     report = path.steps[-1].contact
     assert report["slip"] == 0 and report["stick"] == len(points)
+
+
+def test_without_friction_a_plane_slides_away_under_a_sheet():
+    points, triangles = protocols.plate(0.3, 0.3, 0.05)
+    shell = protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0)
+    motion = Motion(displacement=np.array([0.2, 0.0, 0.0]))
+    floor = Plane(name="floor", point=np.zeros(3), normal=protocols.UP, motion=motion)
+    path, problem = protocols.solve(shell, floor, 2)
+    assert path.converged
+    assert np.abs(problem.positions(path.state) - points).max() < 1e-6

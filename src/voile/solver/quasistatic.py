@@ -152,14 +152,14 @@ def _contact(problem: Problem) -> Contact:
 
 def _carry(problem: Problem, y: PETSc.Vec, pace: Pace) -> None:
     """Moves a shell that nothing supports with the obstacle that bears it, or else touches most of it, over the next
-    load step: it starts where it sticks, however far that is."""
+    load step, where there is friction: it starts where it sticks, however far that is."""
     contact, x, state = _contact(problem), problem.positions(y), _contact(problem).state
     bears = np.array([normal[problem.own].sum() for normal in state.normal[: len(contact.obstacles)]])
     near = [contact.gap(k, x, pace.factor) <= NEARBY * problem.size() for k in range(len(bears))]
     touches = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
     bears, touches = problem.comm.allreduce(np.array([bears, touches]))
     most = int(np.argmax(bears if bears.any() else touches))
-    if bears[most] or touches[most]:
+    if (bears[most] or touches[most]) and contact.obstacles[most].friction > 0.0:
         there = contact.obstacles[most].carry(x, pace.factor, pace.target)
         y.axpy(1.0, field_vector(problem, there - x))
 
