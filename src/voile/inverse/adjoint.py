@@ -132,7 +132,7 @@ class Objective:
         self.began = problem.contact.state.copy() if problem.contact else None
         self.state = self.start.copy()
         self.at: PETSc.Vec | None = None
-        self.best = math.inf, math.inf  # objective and its sag
+        self.best = math.inf  # objective of the last of the trail
         self.trail: list[Iterate] = []  # the best so far, one after the other
         self.shifted = 0.0  # multiple of the identity in the Hessian
 
@@ -202,9 +202,9 @@ class Objective:
         value = 0.5 * self.state.dot(missed) + 0.5 * self.regularisation * change.dot(changed)
         self._pull(missed).copy(gradient)
         gradient.axpy(self.regularisation, changed)
-        if found and value < self.best[0]:
-            self.best = value, sag(self.target, self.state)
-            self.trail.append(Iterate(z.copy(), self.state.copy(), self.best[1]))
+        if found and value < self.best:
+            self.best = value
+            self.trail.append(Iterate(z.copy(), self.state.copy(), sag(self.target, self.state)))
         return value if found else UNREACHABLE
 
     def mult(self, _matrix: PETSc.Mat, v: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -344,7 +344,7 @@ def _note(tao: PETSc.TAO, objective: Objective, path: AdjointPath, on_step: Prog
     iteration, value, gradient = tao.getSolutionStatus()[:3]
     if path.steps and path.steps[-1].iteration == iteration:
         return  # a trial that was rejected
-    path.steps.append(AdjointStep(iteration, value, gradient, objective.best[1]))
+    path.steps.append(AdjointStep(iteration, value, gradient, objective.trail[-1].sag))
     if on_step:
         on_step(path.steps[-1])
 

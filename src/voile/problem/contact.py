@@ -99,7 +99,7 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItsel
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     """reaction (local vertices, 3) N on the shell, gap (local vertices,) m to the nearest obstacle or layer, where one
     is near, contact (local vertices,): 0 free, 1 stick, 2 slip."""
-    contact, x, factor = _contact(problem), problem.positions(y), problem.load_factor
+    contact, x, factor = contact_of(problem), problem.positions(y), problem.load_factor
     found = contact.pairs(x, factor)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
     state = np.full(len(x), FREE, dtype=np.uint8)
@@ -116,7 +116,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     """Figures of the contact over all ranks: active, stick, slip (vertices), max_penetration (m), friction_error
     (mismatch of the laws over the reactions' norm), self_contacts (pairs that touch), and of each obstacle name,
     vertices, force (N), moment about the origin (N m) on the shell and contact area (m^2, of the rest shape)."""
-    contact, x, factor, comm = _contact(problem), problem.positions(y), problem.load_factor, problem.comm
+    contact, x, factor, comm = contact_of(problem), problem.positions(y), problem.load_factor, problem.comm
     fields = contact_fields(problem, y)
     state = fields["contact"][problem.own]
     counts = comm.allreduce(np.array([(state > FREE).sum(), (state == STICK).sum(), (state == SLIP).sum()]))
@@ -150,7 +150,8 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     }
 
 
-def _contact(problem: Problem) -> Contact:
+def contact_of(problem: Problem) -> Contact:
+    """The contact of a problem that has one."""
     assert problem.contact is not None
     return problem.contact
 

@@ -12,9 +12,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.contact.state import Contact
 from voile.problem.anchor import difference
-from voile.problem.contact import contact_report
+from voile.problem.contact import contact_of, contact_report
 from voile.problem.discrete import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
@@ -142,19 +141,14 @@ def follow_contact(
 
 def begin(problem: Problem, y: PETSc.Vec) -> None:
     """Slip is measured from here on."""
-    _contact(problem).begin(problem.positions(y), problem.load_factor)
-
-
-def _contact(problem: Problem) -> Contact:
-    assert problem.contact is not None
-    return problem.contact
+    contact_of(problem).begin(problem.positions(y), problem.load_factor)
 
 
 def _carry(problem: Problem, y: PETSc.Vec, pace: Pace) -> None:
     """Moves a shell that nothing supports with the obstacle that bears it, or else touches most of it, over the next
     load step, where there is friction: it starts where it sticks, however far that is."""
-    contact, x, state = _contact(problem), problem.positions(y), _contact(problem).state
-    bears = np.array([normal[problem.own].sum() for normal in state.normal[: len(contact.obstacles)]])
+    contact, x = contact_of(problem), problem.positions(y)
+    bears = np.array([normal[problem.own].sum() for normal in contact.state.normal[: len(contact.obstacles)]])
     near = [contact.gap(k, x, pace.factor) <= NEARBY * problem.size() for k in range(len(bears))]
     touches = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
     bears, touches = problem.comm.allreduce(np.array([bears, touches]))
@@ -167,7 +161,7 @@ def _carry(problem: Problem, y: PETSc.Vec, pace: Pace) -> None:
 def _expected(problem: Problem, pace: Pace) -> float:
     """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or of
     obstacles beside the shell."""
-    start, end, contact = pace.factor, pace.target, _contact(problem)
+    start, end, contact = pace.factor, pace.target, contact_of(problem)
     state = contact.state
     x = state.reference[problem.own]
     paths = [(end - start) * problem.part.lift[: state.reference.size]]
