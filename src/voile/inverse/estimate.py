@@ -140,6 +140,8 @@ class Estimation:
     ) -> tuple[np.ndarray, list[PETSc.Vec]] | None:
         """Equilibria that simulations from the observed shapes find much nearer to them: a poor first guess may have
         led to another branch, which those that go on from the last ones never leave."""
+        if all(o.obstacles for o in self.observations):
+            return None  # whose simulations all start anew
         if np.sqrt(self._misfit(states) / self.count) <= BLIND * self.observations[0].problem.size():
             return None
         last = [o.state for o in self.observations]
