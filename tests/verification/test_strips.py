@@ -155,6 +155,6 @@ def test_lateral_buckling_load():
 def test_a_strip_past_its_buckling_load_ends_bent_and_stable(height, nx, thin, load):
     critical = buckling_load(height, nx, 2)
     straight = solve(standing_strip(0.9 * critical, height, nx, 2, thin)[0], 1)
-    assert straight.path.stable and np.abs(straight.u[:, 2]).max() == 0.0
+    assert straight.path.stable and np.abs(straight.u[:, 2]).max() < 1e-15
     buckled = solve(standing_strip(load * critical, height, nx, 2, thin)[0], 1)
     assert buckled.path.stable and np.abs(buckled.u[:, 2]).max() > 0.05

@@ -29,6 +29,7 @@ from voile.contact.self_contact import Candidates, OnItself
 __all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "State"]
 PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
 LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
+OFF_BOUND = 1e-7  # share of friction
 BARRIER = 3.0  # stiffness of the barrier between layers, over rho
 
 
@@ -139,8 +140,10 @@ class Contact:
         return [(o.name, o.friction) for o in self.obstacles] + own
 
     def begin(self, x: np.ndarray, factor: float) -> None:
-        """Measures slip from positions x (n, 3) at this load factor on."""
+        """Measures slip from positions x (n, 3) at this load factor on. Friction starts off its bound: whether what
+        slipped before now sticks is not left to round-off."""
         self.state.reference, self.state.factor = x.copy(), factor
+        self.state.friction = [(1.0 - OFF_BOUND) * friction for friction in self.state.friction]
         if self.itself:
             self.state.layers = self.itself.widen(x).copy()
 

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.scales import force_floor
 from voile.solver.newton import factorisation_error, negative_pivots
@@ -27,6 +29,8 @@ NARROWEST = 1.0 / 64.0  # step of the way home from an equilibrium beside the ta
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
 ROUND_OFF = 4e-15  # relative, of the residual's evaluation
+RESOLVED = 1e-3  # of the loads: round-off of forces at the target beyond which there is nothing to compute
+FOLDED = 170.0  # degrees, between the normals of triangles, where tan(angle / 2) grows steeply
 AREAS = 0.1, 10.0  # bounds of a rest triangle's area over the target's
 
 
@@ -87,7 +91,8 @@ class Direct:
     ) -> DirectPath:
         """The branch from the target itself without load to the full load, or to where it ends. guess: rest
         displacements from which the full load is tried first; smallest: step, a fraction of the load; path: one that
-        ended in larger steps, to go on with."""
+        ended in larger steps, to go on with. Raises NotConverged where round-off hides the loads."""
+        self._check_round_off()
         z, lost = self.problem.create_vector(), None
         if path is None:
             path = (guess and self.begin_with(guess, on_step)) or DirectPath(rest=z.copy())
@@ -224,6 +229,41 @@ class Direct:
             mask.array[~self.rest.is_vertex] = 1.0
             self.tangent.diagonalScale(None, mask)
             self.matrix.axpy(1.0, self.tangent, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
+    def _check_round_off(self) -> None:
+        """Raises NotConverged where the last places of the target's positions are worth more than the loads."""
+        problem, target = self.problem, self.target
+        target.load(1.0)
+        y, _ = self._evaluate(problem.create_vector(), problem.create_vector())
+        self.linearise(y)
+        noise, loads = self.floor(), target.load_norm(y)
+        if noise <= RESOLVED * loads or loads == 0.0:
+            return
+        fold, where = self._sharpest_fold()
+        hint = ""
+        if "/tan/" in problem.model and fold > FOLDED:
+            hint = (
+                f'; the target is folded by {fold:.2f} degrees at triangle {where}, and shell.bending = "tan" grows '
+                'without bound towards 180: "theta", "sin" and "average" do not'
+            )
+        raise NotConverged(
+            f"the target cannot be resolved: round-off of its positions is worth {noise:.1e} N, its loads {loads:.1e} N"
+            + hint
+        )
+
+    def _sharpest_fold(self) -> tuple[float, int]:
+        """Largest angle (degrees) between normals of neighbouring triangles at the target, and one of the two."""
+        part, comm = self.problem.part, self.problem.comm
+        a, b, c = self.target.x[part.corners].swapaxes(0, 1)
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        row, side = np.nonzero(part.across >= 0)
+        cosine = (normal[row] * normal[part.across[row, side] // 3]).sum(axis=1)
+        if not len(row):
+            return comm.allreduce((0.0, -1), op=MPI.MAX)
+        least = int(cosine.argmin())
+        angle = float(np.degrees(np.arccos(np.clip(cosine[least], -1.0, 1.0))))
+        return comm.allreduce((angle, int(part.triangle[row[least]])), op=MPI.MAX)
 
     def floor(self) -> float:
         """Round-off of the residual (N): of positions times stiffness."""

@@ -26,7 +26,7 @@ class Problem:
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
     Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
     its work is then left out of `energy`. `moves`: some support is displaced along the load path;
-    `supported`: there is one.
+    `held`: there is one; `supported`: along every axis there is.
     """
 
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
@@ -60,7 +60,8 @@ class Problem:
         self._vertex_force = self._weights()
         self.own = np.zeros(len(part.vertex), dtype=bool)
         self.own[part.owned_vertices] = True
-        self.supported = bool(comm.allreduce(bool(part.fixed[: 3 * len(part.vertex)].any()), op=MPI.LOR))
+        axes = comm.allreduce(part.fixed[: 3 * len(part.vertex)].reshape(-1, 3).any(axis=0).astype(int))
+        self.held, self.supported = bool(axes.any()), bool(axes.all())
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
         self._length = self._measure()
         self._make_vectors()

@@ -234,7 +234,12 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True)
 class Statics:
-    load_steps: int = key(Integer(1), "first load step is 1/load_steps; adaptive from there", default=10)
+    load_steps: int | None = key(
+        Integer(1),
+        "first load step is 1/load_steps; adaptive from there; default: 10, or 1 where nothing holds the shell and no "
+        "obstacle moves",
+        default=None,
+    )
     max_steps: int = key(Integer(1), "load steps tried in all", default=1000)
     perturbation: float = key(Number(least=0), "off unstable branches, in thicknesses", default=1.0)
     tolerance: float = key(

@@ -16,6 +16,7 @@ from voile.contact.kept import Kept
 from voile.errors import InputError
 from voile.problem.anchor import difference
 from voile.problem.discrete import Problem
+from voile.problem.imperfection import disturb
 from voile.problem.scales import round_off, slow_rate
 from voile.solver.complementarity import OPTION, Complementarity
 from voile.solver.newton import Newton, negative_pivots, renew
@@ -153,6 +154,9 @@ class FrictionalSolver:
             y.axpy(self.problem.free_share(y, mode), mode)
         return -value
 
+    def disturb(self, y: PETSc.Vec) -> None:
+        disturb(self.problem, y, self.perturbation / self.problem.thickness())
+
     def beside(self, y: PETSc.Vec, saddle: Place, kick: int) -> bool:
         """Whether y is already further from a saddle than that kick would put it."""
         moved = self.problem.largest_motion(difference(y, self.base.unknowns(saddle)))
@@ -162,14 +166,21 @@ class FrictionalSolver:
         return self.perturbation * 4.0**kick
 
     def by_descent(
-        self, y: PETSc.Vec, wanted: float, softest: float = SOFTEST, updates: int = UPDATES
+        self,
+        y: PETSc.Vec,
+        wanted: float,
+        softest: float = SOFTEST,
+        updates: int = UPDATES,
+        rough: float = 0.0,
     ) -> Outcome:
         """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update. Not
-        between layers of the shell: what is soft lets them collapse, and then no step is free."""
+        between layers of the shell: what is soft lets them collapse, and then no step is free. rough (N): tolerance of
+        the first descent, the next ones' are ever smaller."""
         contact, problem = self.contact, self.problem
         softest = 1.0 if contact.itself else softest
         contact.freeze(problem.positions(y), problem.load_factor)
-        rough, self.newton.descend, contact.softness = ROUGHEST * wanted, True, softest
+        rough, self.newton.descend, contact.softness = rough or ROUGHEST * wanted, True, softest
+        self.disturb(y)
         try:
             for _ in range(updates):
                 if not self.run(self.newton, y, max(wanted, rough), DESCENT):

@@ -9,15 +9,17 @@ from voile.errors import NotConverged
 from voile.problem.discrete import Problem
 from voile.problem.scales import force_floor
 
+STEPS = 10  # of the load, where supports or moving obstacles lead the shell
+
 
 @dataclass
 class StaticsOptions:
-    """load_steps: first step is 1/load_steps; max_steps: attempts in all; perturbation off unstable branches in
-    thicknesses; tolerance: residual over the load's norm; stability: test the end state, eigenvalue: with its
-    smallest eigenvalue; fast: full steps before the descent method, which are of no use from a start that strains the
-    shell far beyond its equilibrium."""
+    """load_steps: first step is 1/load_steps, None: see the function `load_steps`; max_steps: attempts in all;
+    perturbation off unstable branches in thicknesses; tolerance: residual over the load's norm; stability: test the end
+    state, eigenvalue: with its smallest eigenvalue; fast: full steps before the descent method, which are of no use
+    from a start that strains the shell far beyond its equilibrium."""
 
-    load_steps: int = 10
+    load_steps: int | None = None
     max_steps: int = 1000
     perturbation: float = 1.0
     tolerance: float = 1e-8
@@ -65,6 +67,14 @@ def require(path: Path) -> Path:
     if not path.converged:
         raise NotConverged(f"statics did not converge: {path.reason}")
     return path
+
+
+def load_steps(problem: Problem, options: StaticsOptions) -> int:
+    """Those of the options; else 10, or 1 for a shell that lies on what does not move: nothing leads it through partial
+    loads."""
+    contact = problem.contact
+    falls = contact is not None and not (problem.held or contact.moves)
+    return options.load_steps or (1 if falls else STEPS)
 
 
 def tolerance(problem: Problem, y: PETSc.Vec, options: StaticsOptions) -> float:

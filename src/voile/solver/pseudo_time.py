@@ -1,6 +1,7 @@
 """Pseudo-time: implicit steps in which the shell's mass pulls it back to where the step started; slip is measured from
-there. The pull fades as steps become easy. A shell that nothing holds slides on and on: then there is no equilibrium,
-and the direction is known.
+there. The pull fades from step to step. A shell that nothing holds slides on and on: then there is no equilibrium,
+and the direction is known. Steps are solved sharply and nothing but a step that fails decides on the next one's length,
+so that the way is the same for all numbers of ranks.
 """
 
 from dataclasses import replace
@@ -25,9 +26,11 @@ FAR = 0.01  # sizes of the shell that a step may move before friction is known
 PATIENCE = 8  # steps at most without the semismooth method
 DONE, UNFINISHED = 1, 2
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # in slow rates
-ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step, of the loads and of the norm at its start
+FADE, RAISE = 0.5, 4.0  # factor of the rate after a step, and after one that failed
+ROUGH, REDUCED = 0.06, 2.0  # first tolerance of a step's descents, of the loads and of the norm at its start
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 GONE = 1.0  # sizes of the shell after which it has slid away
+NOISES = 10.0  # times round-off that a step is solved to at best
 BLURRED = 0.1  # of the tolerance: round-off of the unknowns beyond which they are counted anew
 
 
@@ -42,19 +45,20 @@ class PseudoTime:
 
     def run(self, y: PETSc.Vec, wanted: float) -> Outcome:
         solver, problem, base = self.solver, self.problem, self.solver.base
-        self._settles, self._carried, kick = not self.contact.itself, not self.contact.moves, 0
+        self._wait, self._patience, kick = 0, 0, 0
+        self._settles, self._carried = not self.contact.itself, not self.contact.moves
         mass, slow = problem.mass(), slow_rate(problem)
         loads, began = max(problem.load_norm(y), wanted / 1e-8), self.contact.state.copy()
         # peak: of the pull (N) since the semismooth method was last tried without it
         rate, peak, pull, origin = FIRST_RATE * slow, np.inf, np.inf, base.here(y)
         try:
             for _ in range(STEPS):
-                home, before = y.copy(), solver.iterations
+                home = y.copy()
                 problem.anchor = Anchor(home, rate, mass)
                 done = self._step(y, wanted, ROUGH * loads, 0.5 * pull)
                 self._carried |= bool(done)
                 if not done:
-                    rate *= 1.0 if self._sharpened(y, wanted) else 4.0
+                    rate *= 1.0 if self._sharpened(y, wanted) else RAISE
                     if rate > LAST_RATE * slow:
                         return self._failed(f"no step of pseudo-time converges; {solver.missed(y)}")
                     continue
@@ -62,9 +66,9 @@ class PseudoTime:
                     return replace(self._failed(self._slides(difference(y, home))), gone=True)
                 if done == UNFINISHED:
                     continue
-                pull, spent = problem.norm(problem.anchor.pull(y)), solver.iterations - before
+                pull = problem.norm(problem.anchor.pull(y))
                 peak = max(peak, pull)
-                rate *= 0.3 if spent <= 6 else 0.5 if spent <= 12 else 0.7
+                rate *= FADE
                 if pull <= min(NEAR * loads, 0.3 * peak):
                     peak, problem.anchor = pull, None
                     found = self._arrives(y, wanted, began)
@@ -92,7 +96,7 @@ class PseudoTime:
         found = solver.attempt(solver.directly, y, wanted)
         if not (found.converged or found.saddle) and self._sharpened(y, wanted):
             found = solver.attempt(solver.directly, y, wanted)
-        if found.converged and (self.problem.supported or self.contact.moves):
+        if found.converged and (self.problem.held or self.contact.moves):
             self._recall(y, wanted, began)
         return replace(found, way="pseudo-time")
 
@@ -120,21 +124,21 @@ class PseudoTime:
         solver = self.solver
         if self._carried:
             solver.begin(y)
-        reduced = REDUCED * solver.norm(y)
-        tolerance = max(wanted, min(rough, reduced))
-        exact = self.problem.supported and not self.contact.itself
+        rough = min(rough, REDUCED * solver.norm(y))
+        sharp = max(wanted, NOISES * max(round_off(self.problem, y)))
+        exact = self.problem.held and not self.contact.itself
         self._wait -= 1
         if self._wait < 0:
-            if solver.attempt(solver.directly, y, tolerance).converged:
+            if solver.attempt(solver.directly, y, sharp).converged:
                 self._patience = 0
                 return DONE
             self._wait = self._patience = min(max(2 * self._patience, 1), PATIENCE)
         if exact or self._settles:
-            descent = partial(solver.by_descent, softest=1.0, updates=FEW)
-            self._settles = solver.attempt(descent, y, tolerance).converged
+            descent = partial(solver.by_descent, softest=1.0, updates=FEW, rough=rough)
+            self._settles = solver.attempt(descent, y, sharp).converged
             if self._settles or exact:
                 return DONE if self._settles else 0
-        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
+        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else rough / 30.0))
 
     def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
         """One descent and one update of the reactions. Where there are none yet there is no friction either: such a
@@ -142,6 +146,7 @@ class PseudoTime:
         solver, contact, problem, home = self.solver, self.contact, self.problem, y.copy()
         fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
         contact.freeze(problem.positions(y), problem.load_factor)
+        solver.disturb(y)
         solver.newton.descend = True
         done = solver.run(solver.newton, y, tolerance, SHORT)
         far = fresh and problem.largest_motion(difference(y, home)) > FAR

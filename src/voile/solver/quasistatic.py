@@ -19,7 +19,7 @@ from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
 from voile.solver.frictional import FrictionalSolver
 from voile.solver.newton import Newton
-from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, tolerance
+from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import smallest_eigenpair
 from voile.solver.ways import NEUTRAL, Outcome
 
@@ -94,7 +94,7 @@ def follow_contact(
     snaps."""
     solver = FrictionalSolver(problem, snes, newton, options.perturbation, options.fast)
     # A smaller load does not hold what nothing holds.
-    pace = Pace(1.0 / options.load_steps, CUTS if problem.supported else 0)
+    pace = Pace(1.0 / load_steps(problem, options), CUTS if problem.supported else 0)
     moving = problem.moves or solver.contact.moves
     problem.load_factor = 0.0
     begin(problem, y)
@@ -105,7 +105,7 @@ def follow_contact(
             return
         path.attempts += 1
         problem.load_factor, start = pace.target, solver.base.here(y)
-        if solver.contact.moves and not problem.supported:
+        if solver.contact.moves and not problem.held:
             _carry(problem, y, pace)
         done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
         solver.base.unknowns(start).copy(path.state)

@@ -6,6 +6,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from voile.problem.discrete import Problem
+from voile.problem.imperfection import imperfection
 from voile.solver.newton import add_mass, negative_pivots, use_cholesky
 
 
@@ -20,7 +21,8 @@ def factored(matrix: PETSc.Mat) -> PETSc.PC:
 
 
 def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tuple[float, PETSc.Vec]:
-    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M the lumped mass.
+    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M the lumped mass. The mode's
+    sign, and which one of several with the same omega, are those next to the imperfection.
 
     Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
     no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
@@ -53,12 +55,14 @@ def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tu
     ksp = st.getKSP()
     ksp.setType(PETSc.KSP.Type.PREONLY)
     use_cholesky(ksp.pc)
+    first = imperfection(problem)
+    eps.setInitialSpace([first])
     eps.setFromOptions()
     eps.solve()
     if eps.getConverged() < 1:
         return math.nan, problem.create_vector()
     mode = problem.create_vector()
     value = eps.getEigenpair(0, mode).real
-    largest = mode.norm(PETSc.NormType.INFINITY)
-    mode.scale(1.0 / largest)
+    sign = math.copysign(1.0, mode.dot(first))
+    mode.scale(sign / mode.norm(PETSc.NormType.INFINITY))
     return value, mode

@@ -5,9 +5,10 @@ import math
 from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
+from voile.problem.imperfection import disturb
 from voile.problem.scales import round_off, slow_rate
 from voile.solver.newton import NOT_FINITE, Newton, use_cholesky
-from voile.solver.path import LoadStep, Monitor, Path, Progress, StaticsOptions, tolerance
+from voile.solver.path import LoadStep, Monitor, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.quasistatic import follow_contact
 from voile.solver.stability import smallest_eigenpair
 
@@ -67,6 +68,8 @@ def solve_statics(
         snes.setMonitor(lambda _, it, norm: monitor(problem.load_factor, it, norm))
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
+    if start is None and not problem.contact:  # friction would remember it
+        disturb(problem, y, options.perturbation)
     try:
         follow = follow_contact if problem.contact else _follow
         follow(problem, snes, newton, y, options, path, on_step)
@@ -78,7 +81,8 @@ def solve_statics(
 def _follow(problem, snes, newton, y, options, path, on_step) -> None:
     """Steps until the full load. Fast full steps first, in load steps cut where they fail; where that does not help
     (buckling, floppy cloth) the descent method takes over, at once for the whole load unless supports move."""
-    factor, step, cuts = 0.0, 1.0 / options.load_steps, 0
+    first = 1.0 / load_steps(problem, options)
+    factor, step, cuts = 0.0, first, 0
     most = FAST_CUTS if problem.conservative else PATIENT_CUTS
     while factor < 1.0:
         if path.attempts >= options.max_steps:
@@ -102,7 +106,7 @@ def _follow(problem, snes, newton, y, options, path, on_step) -> None:
             step *= 0.25
             cuts += 1
             if cuts == most:
-                step = 1.0 / options.load_steps if problem.moves else 1.0
+                step = first if problem.moves else 1.0
             continue
         factor = target
         if newton.descend or done.iterations <= EASY:
@@ -120,6 +124,8 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     """Solves at one load factor; None without convergence."""
     problem.load_factor = target
     iterations, rebased = 0, False
+    if newton.descend:
+        disturb(problem, y, options.perturbation)
     for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
         wanted = tolerance(problem, y, options)
         if not math.isfinite(wanted):

@@ -1,0 +1,41 @@
+"""A small imperfection: it, not round-off, which differs between numbers of ranks, chooses where a shell buckles to."""
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.rest import field_vector
+
+WAVES = 12
+SHORTEST = 0.1  # sizes of the shell
+SMALL = 1e-3  # perturbations
+
+
+def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
+    """A displacement of about 1 m, smooth and without symmetry: waves of fixed directions and phases, from the shell's
+    size down to a tenth of it; with positions x (local vertices, 3) only along the normals there. The same for all
+    meshes and numbers of ranks."""
+    part, random = problem.part, np.random.default_rng(0)
+    ways, sizes = random.standard_normal((2, WAVES, 3))
+    ways *= (2.0 * np.pi / np.geomspace(1.0, SHORTEST, WAVES) / np.linalg.norm(ways, axis=1))[:, None]
+    phases = random.uniform(0.0, 2.0 * np.pi, WAVES)
+    field = np.cos(part.points @ ways.T / problem.size() + phases) @ sizes / np.sqrt(WAVES)
+    if x is not None:
+        normals = _normals(x, part.corners)
+        field = (field * normals).sum(axis=1)[:, None] * normals
+    return field_vector(problem, field)
+
+
+def disturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
+    """Moves a start of a descent off symmetry by more than round-off does; perturbation in thicknesses."""
+    small = imperfection(problem, problem.positions(y))
+    small.scale(SMALL * perturbation * problem.thickness())
+    y.axpy(problem.free_share(y, small), small)
+
+
+def _normals(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(n, 3) unit normals of the vertices; zero where there is none."""
+    a, b, c = points[corners].swapaxes(0, 1)
+    normals = np.zeros_like(points)
+    np.add.at(normals, corners, np.cross(b - a, c - a)[:, None])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
