@@ -155,7 +155,9 @@ class FrictionalSolver:
         return -value
 
     def disturb(self, y: PETSc.Vec) -> None:
-        disturb(self.problem, y, self.perturbation / self.problem.thickness())
+        """Moves the start of a descent off symmetry; not between layers, which take long to settle again."""
+        if not self.contact.itself:
+            disturb(self.problem, y, self.perturbation / self.problem.thickness())
 
     def beside(self, y: PETSc.Vec, saddle: Place, kick: int) -> bool:
         """Whether y is already further from a saddle than that kick would put it."""

@@ -1,7 +1,7 @@
 """Pseudo-time: implicit steps in which the shell's mass pulls it back to where the step started; slip is measured from
 there. The pull fades from step to step. A shell that nothing holds slides on and on: then there is no equilibrium,
-and the direction is known. Steps are solved sharply and nothing but a step that fails decides on the next one's length,
-so that the way is the same for all numbers of ranks.
+and the direction is known. But between layers steps are solved sharply, and nothing but a step that fails decides on
+the next one's length, so that the way is the same for all numbers of ranks.
 """
 
 from dataclasses import replace
@@ -27,7 +27,8 @@ PATIENCE = 8  # steps at most without the semismooth method
 DONE, UNFINISHED = 1, 2
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # in slow rates
 FADE, RAISE = 0.5, 4.0  # factor of the rate after a step, and after one that failed
-ROUGH, REDUCED = 0.06, 2.0  # first tolerance of a step's descents, of the loads and of the norm at its start
+ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step between layers, of the loads and of the norm at its start
+FIRST = 30.0  # times that, the first tolerance of a descent
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 GONE = 1.0  # sizes of the shell after which it has slid away
 NOISES = 10.0  # times round-off that a step is solved to at best
@@ -120,25 +121,27 @@ class PseudoTime:
         else by descent until the reactions have settled. The first step is also that of moving obstacles. Where
         supports move the shell friction must remember: the laws hold in every step. Else, once such a descent has
         failed, a part of their mismatch is left to the next step, as rough as the last step's pull (N) allows; between
-        layers at once, which take long to settle."""
+        layers at once, which take long to settle, and whose steps need only be rough."""
         solver = self.solver
         if self._carried:
             solver.begin(y)
-        rough = min(rough, REDUCED * solver.norm(y))
+        reduced = REDUCED * solver.norm(y)
+        rough = max(wanted, min(rough, reduced))
         sharp = max(wanted, NOISES * max(round_off(self.problem, y)))
+        tolerance = rough if self.contact.itself else sharp
         exact = self.problem.held and not self.contact.itself
         self._wait -= 1
         if self._wait < 0:
-            if solver.attempt(solver.directly, y, sharp).converged:
+            if solver.attempt(solver.directly, y, tolerance).converged:
                 self._patience = 0
                 return DONE
             self._wait = self._patience = min(max(2 * self._patience, 1), PATIENCE)
         if exact or self._settles:
-            descent = partial(solver.by_descent, softest=1.0, updates=FEW, rough=rough)
-            self._settles = solver.attempt(descent, y, sharp).converged
+            descent = partial(solver.by_descent, softest=1.0, updates=FEW, rough=FIRST * rough)
+            self._settles = solver.attempt(descent, y, tolerance).converged
             if self._settles or exact:
                 return DONE if self._settles else 0
-        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else rough / 30.0))
+        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
 
     def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
         """One descent and one update of the reactions. Where there are none yet there is no friction either: such a
