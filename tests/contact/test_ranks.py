@@ -35,7 +35,6 @@ SLOW = pytest.mark.slow
         pytest.param("sphere", CORNERS, id="corner held"),
         pytest.param("cone", "", id="cone", marks=SLOW),
         pytest.param("torus", "", id="torus", marks=SLOW),
-        pytest.param("torus", "[statics]\nload_steps = 10\n", id="in ten steps", marks=SLOW),
     ],
 )
 def test_a_symmetric_sheet_falls_into_the_same_folds(tmp_path, mpirun, body, more):

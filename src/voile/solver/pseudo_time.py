@@ -120,8 +120,8 @@ class PseudoTime:
         """DONE, UNFINISHED or (0) failed: by the semismooth method, which waits longer and longer after it has failed,
         else by descent until the reactions have settled. The first step is also that of moving obstacles. Where
         supports move the shell friction must remember: the laws hold in every step. Else, once such a descent has
-        failed, a part of their mismatch is left to the next step, as rough as the last step's pull (N) allows; between
-        layers at once, which take long to settle, and whose steps need only be rough."""
+        failed, a part of their mismatch is left to the next step; between layers at once, which take long to settle,
+        and whose steps are only as sharp as the last step's pull (N) demands."""
         solver = self.solver
         if self._carried:
             solver.begin(y)
@@ -141,7 +141,9 @@ class PseudoTime:
             self._settles = solver.attempt(descent, y, tolerance).converged
             if self._settles or exact:
                 return DONE if self._settles else 0
-        return self._lagged_descent(y, max(wanted, pull if np.isfinite(pull) else reduced))
+        if self.contact.itself:
+            tolerance = max(wanted, pull if np.isfinite(pull) else reduced)
+        return self._lagged_descent(y, tolerance)
 
     def _lagged_descent(self, y: PETSc.Vec, tolerance: float) -> int:
         """One descent and one update of the reactions. Where there are none yet there is no friction either: such a
