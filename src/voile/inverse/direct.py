@@ -29,7 +29,6 @@ NARROWEST = 1.0 / 64.0  # step of the way home from an equilibrium beside the ta
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
 ROUND_OFF = 4e-15  # relative, of the residual's evaluation
-RESOLVED = 1e-3  # of the loads: round-off of forces at the target beyond which there is nothing to compute
 FOLDED = 170.0  # degrees, between the normals of triangles, where tan(angle / 2) grows steeply
 AREAS = 0.1, 10.0  # bounds of a rest triangle's area over the target's
 
@@ -237,7 +236,7 @@ class Direct:
         y, _ = self._evaluate(problem.create_vector(), problem.create_vector())
         self.linearise(y)
         noise, loads = self.floor(), target.load_norm(y)
-        if noise <= RESOLVED * loads or loads == 0.0:
+        if noise <= loads or loads == 0.0:
             return
         fold, where = self._sharpest_fold()
         hint = ""
