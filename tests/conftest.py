@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -48,6 +49,17 @@ def mpirun(launcher: list[str]) -> MpiRun:
                 os.killpg(process.pid, signal.SIGKILL)  # the ranks too
                 raise
         return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+    return run
+
+
+@pytest.fixture
+def run_on(mpirun: MpiRun) -> Callable[..., None]:
+    """run_on(ranks, scene, out, timeout=120): runs a scene on that many ranks, which must succeed."""
+
+    def run(ranks: int, scene: Path, out: Path, timeout: float = 120) -> None:
+        done = mpirun(ranks, [sys.executable, "-m", "voile.cli", "run", scene, "-o", out], timeout)
+        assert done.returncode == 0, done.stderr
 
     return run
 

@@ -378,12 +378,11 @@ SCENES = {
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("name", SCENES)
-def test_ranks_agree(name, scene, tmp_path, mpirun):
+def test_ranks_agree(name, scene, tmp_path, run_on):
     path, found = scene(*SCENES[name]), []
     for ranks in (1, 2, 4):
         out = tmp_path / str(ranks)
-        done = mpirun(ranks, [*VOILE, "run", str(path), "-o", str(out)], 120)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, path, out)
         summary = read_summary(out / "summary.json")
         assert summary["ranks"] == ranks and summary["stable"]
         with read_result(out) as result:

@@ -231,12 +231,11 @@ def test_an_unsupported_shell_that_meets_nothing_is_said_to_fall_at_once(scene, 
 
 
 @pytest.mark.mpi
-def test_two_ranks_find_the_same_contact(scene, tmp_path, mpirun):
+def test_two_ranks_find_the_same_contact(scene, tmp_path, run_on):
     path, found = scene(), []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)
-        done = mpirun(ranks, [*VOILE, "run", str(path), "-o", str(out)], 120)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, path, out)
         summary = read_summary(out / "summary.json")
         assert summary["ranks"] == ranks
         with read_result(out) as result:

@@ -1,7 +1,5 @@
 """Drapes that buckle on their way: friction keeps the way, which must not hang on the number of ranks."""
 
-import sys
-
 import numpy as np
 import pytest
 from protocols import plate
@@ -37,7 +35,7 @@ SLOW = pytest.mark.slow
         pytest.param("torus", "", id="torus", marks=SLOW),
     ],
 )
-def test_a_symmetric_sheet_falls_into_the_same_folds(tmp_path, mpirun, body, more):
+def test_a_symmetric_sheet_falls_into_the_same_folds(tmp_path, run_on, body, more):
     """The same shape to 1e-8 m and the same forces to 1e-6 of them all on 1, 2 and 4 ranks."""
     points, triangles = plate(0.5, 0.5, 0.5 / 12)
     write_obj(tmp_path / "sheet.obj", points - [0.25, 0.25, 0.0], triangles)
@@ -46,8 +44,7 @@ def test_a_symmetric_sheet_falls_into_the_same_folds(tmp_path, mpirun, body, mor
     found = []
     for ranks in (1, 2, 4):
         out = tmp_path / str(ranks)
-        done = mpirun(ranks, [sys.executable, "-m", "voile.cli", "run", str(scene), "-o", str(out)], 300)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, scene, out, 300)
         with read_result(out) as result:
             found.append((result.points(), result.field("reaction")))
     (first, force), *others = found

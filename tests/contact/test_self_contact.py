@@ -1,6 +1,5 @@
 """A shell against itself: distances and their derivatives, the laws' derivatives, stacks with known forces, loops."""
 
-import sys
 from pathlib import Path
 
 import ipctk
@@ -308,14 +307,12 @@ def test_explain_tells_of_self_contact(tmp_path, capsys):
 
 
 @pytest.mark.mpi
-def test_ranks_agree(tmp_path, mpirun):
+def test_ranks_agree(tmp_path, run_on):
     path = loop_scene(tmp_path)
     found = []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)
-        command = [sys.executable, "-m", "voile.cli", "run", str(path), "-o", str(out)]
-        done = mpirun(ranks, command, 120)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, path, out)
         summary = read_summary(out / "summary.json")
         assert summary["contact"]["self_contacts"] > 0 and "self-contact" in summary["modelled"]
         with read_result(out) as result:

@@ -140,14 +140,12 @@ def layered_scene(folder, points, triangles, inverse=""):
     (folder / "scene.toml").write_text(text)
 
 
-def test_ranks_agree_on_layers(tmp_path, mpirun):
+def test_ranks_agree_on_layers(tmp_path, run_on):
     layered_scene(tmp_path, *two_tubes()[:2])
     found = []
     for ranks in (1, 2):
         out = tmp_path / f"out{ranks}"
-        args = [sys.executable, "-m", "voile.cli", "run", tmp_path / "scene.toml", "-o", out]
-        done = mpirun(ranks, args, timeout=200)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, tmp_path / "scene.toml", out, 200)
         summary = json.loads((out / "summary.json").read_text())
         assert summary["contact"]["self_contacts"] > 10 and summary["inverse"]["sag"] < 1e-12
         found.append((read_mesh(out / "rest.obj").points, summary["inverse"]["reactions"]))

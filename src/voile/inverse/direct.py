@@ -17,6 +17,7 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.scales import force_floor
+from voile.problem.shell import area_vectors
 from voile.solver.newton import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
@@ -90,8 +91,7 @@ class Direct:
     ) -> DirectPath:
         """The branch from the target itself without load to the full load, or to where it ends. guess: rest
         displacements from which the full load is tried first; smallest: step, a fraction of the load; path: one that
-        ended in larger steps, to go on with. Raises NotConverged where round-off hides the loads."""
-        self._check_round_off()
+        ended in larger steps, to go on with."""
         z, lost = self.problem.create_vector(), None
         if path is None:
             path = (guess and self.begin_with(guess, on_step)) or DirectPath(rest=z.copy())
@@ -229,7 +229,7 @@ class Direct:
             self.tangent.diagonalScale(None, mask)
             self.matrix.axpy(1.0, self.tangent, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
-    def _check_round_off(self) -> None:
+    def check_round_off(self) -> None:
         """Raises NotConverged where the last places of the target's positions are worth more than the loads."""
         problem, target = self.problem, self.target
         target.load(1.0)
@@ -253,8 +253,7 @@ class Direct:
     def _sharpest_fold(self) -> tuple[float, int]:
         """Largest angle (degrees) between normals of neighbouring triangles at the target, and one of the two."""
         part, comm = self.problem.part, self.problem.comm
-        a, b, c = self.target.x[part.corners].swapaxes(0, 1)
-        normal = np.cross(b - a, c - a)
+        normal = area_vectors(self.target.x, part.corners)
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
         row, side = np.nonzero(part.across >= 0)
         cosine = (normal[row] * normal[part.across[row, side] // 3]).sum(axis=1)

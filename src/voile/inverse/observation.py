@@ -140,9 +140,10 @@ class UnknownRest:
 
     def __init__(self, problem: Problem, shell: Shell | None):
         """The problem's start shape (shell: rank 0's) is the observed one. Raises NotConverged where nothing holds
-        it."""
+        it or round-off hides the loads."""
         self.observation = Observation(problem)
         self._direct = Direct(Target(problem, shell, [], 0.0, problem.size()))
+        self._direct.check_round_off()
         self._last: PETSc.Vec | None = None
 
     def find(self, values: dict[str, float]) -> np.ndarray | None:

@@ -229,12 +229,14 @@ def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
 
 def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
     """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
-    alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken."""
+    alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken.
+    Raises NotConverged where round-off hides the loads."""
     solver, paths = Direct(target), dict[float, DirectPath]()
     holds = HOLDS if target.touches else HOLDS[:1]
     for smallest in (COARSE, SMALLEST):
         for hold in holds:
             target.firmness = hold * target.membrane
+            solver.check_round_off()
             path = paths[hold] = solver.follow(on_step, guess, smallest, paths.get(hold))
             if path.converged or path.critical is not None:
                 break

@@ -3,7 +3,7 @@
 import numpy as np
 
 from voile.errors import InputError
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, area_vectors
 
 IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does
 
@@ -27,7 +27,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
     half = np.flatnonzero(clamped[topology.triangle_edges.ravel()])
-    normal = _unit(_normals(shell.points, shell.triangles))
+    normal = _unit(area_vectors(shell.points, shell.triangles))
     triangle, corner = half // 3, half % 3
     start = shell.triangles[triangle, (corner + 1) % 3]
     end = shell.triangles[triangle, (corner + 2) % 3]
@@ -79,11 +79,6 @@ def _plane_of_symmetry(free, along, conormal, loose) -> tuple[np.ndarray, np.nda
     across = np.abs(np.einsum("ij,ij->i", axis, along)) < 1e-6
     steep = np.einsum("ij,ij->i", axis, conormal) > np.sqrt(0.5)
     return axis, (free.sum(axis=1) == 2) & across & steep & (loose > 1e-12)
-
-
-def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

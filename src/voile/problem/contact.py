@@ -11,7 +11,7 @@ from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
-from voile.problem.shell import Shell, seam_gap
+from voile.problem.shell import Shell, seam_gap, triangle_areas
 
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
@@ -159,6 +159,5 @@ def contact_of(problem: Problem) -> Contact:
 def _vertex_areas(problem: Problem) -> np.ndarray:
     """(local vertices,) a third of the rest triangles around (m^2); complete for this rank's own."""
     part = problem.part
-    a, b, c = (part.rest_points[part.rest_corners[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    area = triangle_areas(part.rest_points, part.rest_corners) / 3.0
     return np.bincount(part.corners.ravel(), np.repeat(area, 3), len(part.vertex))

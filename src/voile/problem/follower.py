@@ -3,6 +3,7 @@
 import numpy as np
 
 from voile.problem.partition import Part
+from voile.problem.shell import area_vectors
 
 
 def pressure_energy(x: np.ndarray, part: Part, pressure: float) -> float:
@@ -14,8 +15,7 @@ def pressure_energy(x: np.ndarray, part: Part, pressure: float) -> float:
 
 def pressure_force(x: np.ndarray, part: Part, pressure: float) -> np.ndarray:
     """(3 vertices,) forces p A n / 3 at each corner (N)."""
-    corner = x[part.corners]
-    share = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]) * (pressure / 6.0)
+    share = area_vectors(x, part.corners) * (pressure / 6.0)
     force = np.zeros((len(part.vertex), 3))
     for k in range(3):
         np.add.at(force, part.corners[:, k], share)

@@ -5,10 +5,11 @@ from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
 from voile.problem.rest import field_vector
+from voile.problem.shell import area_vectors
 
 WAVES = 12
 SHORTEST = 0.1  # sizes of the shell
-SMALL = 1e-3  # perturbations
+SMALL = 1e-3  # of the perturbation off saddles
 
 
 def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
@@ -27,15 +28,14 @@ def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
 
 
 def disturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
-    """Moves a start of a descent off symmetry by more than round-off does; perturbation in thicknesses."""
+    """Moves a start of a descent off symmetry by more than round-off does; perturbation in m."""
     small = imperfection(problem, problem.positions(y))
-    small.scale(SMALL * perturbation * problem.thickness())
+    small.scale(SMALL * perturbation)
     y.axpy(problem.free_share(y, small), small)
 
 
 def _normals(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(n, 3) unit normals of the vertices; zero where there is none."""
-    a, b, c = points[corners].swapaxes(0, 1)
     normals = np.zeros_like(points)
-    np.add.at(normals, corners, np.cross(b - a, c - a)[:, None])
+    np.add.at(normals, corners, area_vectors(points, corners)[:, None])
     return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]

@@ -70,8 +70,13 @@ def _without_pockets(shell: Shell) -> Topology:
 
 def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(m,) areas of triangles (m, 3) of points (n, 3)."""
+    return 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
+
+
+def area_vectors(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m, 3) normals of triangles (m, 3) of points (n, 3), twice as long as their areas."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.cross(b - a, c - a)
 
 
 def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:

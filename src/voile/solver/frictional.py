@@ -157,7 +157,7 @@ class FrictionalSolver:
     def disturb(self, y: PETSc.Vec) -> None:
         """Moves the start of a descent off symmetry; not between layers, which take long to settle again."""
         if not self.contact.itself:
-            disturb(self.problem, y, self.perturbation / self.problem.thickness())
+            disturb(self.problem, y, self.perturbation)
 
     def beside(self, y: PETSc.Vec, saddle: Place, kick: int) -> bool:
         """Whether y is already further from a saddle than that kick would put it."""
@@ -176,12 +176,12 @@ class FrictionalSolver:
         rough: float = 0.0,
     ) -> Outcome:
         """Contact starts soft, so that its front can move over many vertices at once, and hardens update by update. Not
-        between layers of the shell: what is soft lets them collapse, and then no step is free. rough (N): tolerance of
-        the first descent, the next ones' are ever smaller."""
+        between layers of the shell: what is soft lets them collapse, and then no step is free. rough (N): what
+        the first descent need only come near to, `wanted` by default; the next ones' tolerances are ever smaller."""
         contact, problem = self.contact, self.problem
         softest = 1.0 if contact.itself else softest
         contact.freeze(problem.positions(y), problem.load_factor)
-        rough, self.newton.descend, contact.softness = rough or ROUGHEST * wanted, True, softest
+        rough, self.newton.descend, contact.softness = ROUGHEST * (rough or wanted), True, softest
         self.disturb(y)
         try:
             for _ in range(updates):

@@ -28,7 +28,6 @@ DONE, UNFINISHED = 1, 2
 FIRST_RATE, LAST_RATE = 30.0, 1e7  # in slow rates
 FADE, RAISE = 0.5, 4.0  # factor of the rate after a step, and after one that failed
 ROUGH, REDUCED = 2e-3, 0.06  # tolerance of a step between layers, of the loads and of the norm at its start
-FIRST = 30.0  # times that, the first tolerance of a descent
 NEAR = 0.01  # pull, of the loads, under which the semismooth method is tried without it
 GONE = 1.0  # sizes of the shell after which it has slid away
 NOISES = 10.0  # times round-off that a step is solved to at best
@@ -137,7 +136,7 @@ class PseudoTime:
                 return DONE
             self._wait = self._patience = min(max(2 * self._patience, 1), PATIENCE)
         if exact or self._settles:
-            descent = partial(solver.by_descent, softest=1.0, updates=FEW, rough=FIRST * rough)
+            descent = partial(solver.by_descent, softest=1.0, updates=FEW, rough=rough)
             self._settles = solver.attempt(descent, y, tolerance).converged
             if self._settles or exact:
                 return DONE if self._settles else 0

@@ -145,7 +145,7 @@ def begin(problem: Problem, y: PETSc.Vec) -> None:
 
 
 def _carry(problem: Problem, y: PETSc.Vec, pace: Pace) -> None:
-    """Moves a shell that nothing supports with the obstacle that bears it, or else touches most of it, over the next
+    """Moves a shell that nothing holds with the obstacle that bears it, or else touches most of it, over the next
     load step, where there is friction: it starts where it sticks, however far that is."""
     contact, x = contact_of(problem), problem.positions(y)
     bears = np.array([normal[problem.own].sum() for normal in contact.state.normal[: len(contact.obstacles)]])

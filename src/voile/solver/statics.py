@@ -69,7 +69,7 @@ def solve_statics(
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
     if start is None and not problem.contact:  # friction would remember it
-        disturb(problem, y, options.perturbation)
+        disturb(problem, y, options.perturbation * problem.thickness())
     try:
         follow = follow_contact if problem.contact else _follow
         follow(problem, snes, newton, y, options, path, on_step)
@@ -125,7 +125,7 @@ def _advance(problem, snes, newton, y, target, options, path) -> LoadStep | None
     problem.load_factor = target
     iterations, rebased = 0, False
     if newton.descend:
-        disturb(problem, y, options.perturbation)
+        disturb(problem, y, options.perturbation * problem.thickness())
     for _ in range(ROUNDS):  # loads that follow, and reactions, are others at the end than at the start
         wanted = tolerance(problem, y, options)
         if not math.isfinite(wanted):
