@@ -166,13 +166,14 @@ class Direct:
         target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
         norm, best, worst, idle = math.inf, math.inf, 0.0, 0
+        noise = force_floor(problem)  # then that of this start: a failed way may have left the matrix of a wild state
         for it in range(MOST + 1):
             y, norm = self._evaluate(z, f)
             invalid = self.invalid()
             if invalid:
                 return invalid, norm, it
             loads = target.load_norm(y)
-            if norm <= max(self.tolerance * loads, self.floor()):
+            if norm <= max(self.tolerance * loads, noise):
                 return "", norm, it
             if norm > worst:  # what comes back from a large residual is on its way
                 best, worst, idle = norm, norm, 0
@@ -182,6 +183,7 @@ class Direct:
             best = min(best, norm)
             if not self._step(y, f, direction):
                 return "dR/dX is singular", norm, it
+            noise = self.floor() if it == 0 else noise
             z.axpy(-(1.0 if idle < CYCLING else self._shorter(z, direction, norm)), direction)
         return f"the residual stays at {norm:.2e} N", norm, it
 
@@ -264,8 +266,8 @@ class Direct:
         return comm.allreduce((angle, int(part.triangle[row[least]])), op=MPI.MAX)
 
     def floor(self) -> float:
-        """Round-off of the residual (N): of positions times stiffness."""
-        stiffness = self.matrix.norm(PETSc.NormType.INFINITY) if self.matrix.isAssembled() else 0.0
+        """Round-off of the residual (N): of positions times the stiffness that was linearised last."""
+        stiffness = self.matrix.norm(PETSc.NormType.INFINITY)
         return max(ROUND_OFF * stiffness * self.problem.size(), force_floor(self.problem))
 
     def negative(self, z: PETSc.Vec) -> int:
