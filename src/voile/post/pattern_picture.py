@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import arrows, mark_length, name_height, notch_lines, seam_labels
+from voile.post.pattern_svg import CLOTH, arrows, mark_length, name_height, notch_lines, seam_labels
 from voile.results import Pattern, Piece
 
-INK, SEAM, NOTCH, CLOTH = "#1b1f24", "#1f5fa8", "#b3261e", "#f6f3ea"
+INK, SEAM, NOTCH = "#1b1f24", "#1f5fa8", "#b3261e"
 BOX = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.0}
 EXACT = 1e-6  # below this distortion there is nothing to colour
 LETTER = 0.012  # length of marks, of the drawing's size

@@ -12,6 +12,7 @@ from voile.results import Pattern, Piece
 MARGIN = 20.0  # mm
 LETTER = 0.011  # height of seam labels, of the drawing's size
 LABEL = 0.44  # of a seam: clear of its notches, and of a grain line through its middle
+CLOTH = "#f6f3ea"
 BAR = 100.0  # mm, the scale bar to check a print with
 # layer: (number of ASTM D6673, colour, width in drawing sizes / 1000)
 LAYERS = {
@@ -95,7 +96,7 @@ class _Page:
     def draw(self, piece: Piece, key: str) -> None:
         """Lines, marks and name of a piece."""
         mark = mark_length(piece, 1e-3 * self.letter)
-        self.path("cut", key, list(piece.cut), closed=True, **{"fill": "#f6f3ea", "fill-rule": "evenodd"})
+        self.path("cut", key, list(piece.cut), closed=True, **{"fill": CLOTH, "fill-rule": "evenodd"})
         self.path("sew", key, [piece.points[piece.outline]], closed=True)
         self.path("notch", key, notch_lines(piece, mark))
         turns = piece.points[piece.turns]
@@ -103,12 +104,10 @@ class _Page:
         self.path("internal", key, [t + cross[[i, i + 1]] for t in turns for i in (0, 2)])
         self.path("grain", key, [piece.grain, *arrows(piece.grain, mark)])
         letters = min(1.5, 1e3 * name_height(piece, len(piece.name)) / self.letter)
-        halo = {
-            "stroke": "#f6f3ea",
-            "stroke-width": f"{0.3 * letters * self.letter:.3f}",
-            "paint-order": "stroke",
-        }
-        self.write(piece.grain.mean(axis=0), piece.name, letters, **{"font-weight": "bold", **halo})
+        # not by paint-order, which some converters do not know: they hide the name behind its own halo
+        halo = {"stroke": CLOTH, "stroke-width": f"{0.3 * letters * self.letter:.3f}", "aria-hidden": "true"}
+        for style in (halo, {}):
+            self.write(piece.grain.mean(axis=0), piece.name, letters, **{"font-weight": "bold", **style})
 
     def seams(self, pattern: Pattern) -> None:
         """The label of each seam inside both its sides, smaller where there is little room."""
