@@ -32,6 +32,7 @@ LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one befor
 SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
+NOTHING = 1e-16  # a merit from which there is nothing more to win
 FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
 STIFFEST = 1e8  # damping
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
@@ -179,7 +180,7 @@ class Nearest:
         local = self._model(place, way, pace)
         while local:
             trial = self._propose(local, place, pace)
-            if not pace.moving and local.merit - trial.merit <= pace.enough * local.merit:
+            if not pace.moving and local.merit - trial.merit <= pace.enough * max(local.merit, NOTHING):
                 if pace.at_end:
                     pace.settled = True
                     return None
