@@ -150,6 +150,8 @@ class Objective:
                 raise
             return False
         if self.design.area_ratios()[0] <= LEAST_AREA:
+            if self.at is None:
+                raise NotConverged("adjoint method: the rest shape to start from has triangles without area")
             return False
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:

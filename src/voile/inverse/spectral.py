@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 INSIDE = 0.02  # of the barrier's reach: where a start inside lies
+EDGE = 1e-8  # nearer to the barrier, round-off tells on which side of it
 STEPS = 100
 DECREASE = 1e-10  # relative, of the last step
 
@@ -37,6 +38,8 @@ class Model:
 
     def value(self, c: np.ndarray, damping: float = 0.0) -> float:
         t = np.linalg.eigvalsh(self.at(c))
+        if t[0] <= EDGE:
+            return math.inf
         return float(self.pull @ c + 0.5 * (1.0 + damping) * c @ c + self.mu * barrier(t)[0].sum())
 
     def minimise(self, damping: float) -> np.ndarray | None:
@@ -47,9 +50,8 @@ class Model:
         value = self.value(c, damping)
         for _ in range(STEPS):
             gradient, hessian = self._derivatives(c, damping)
-            step = -np.linalg.lstsq(hessian, gradient, rcond=None)[
-                0
-            ]  # close to the barrier numerically singular
+            # close to the barrier numerically singular
+            step = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
             slope = float(gradient @ step)
             if -slope <= DECREASE * abs(value):
                 break
@@ -76,11 +78,11 @@ class Model:
         return gradient, (1.0 + damping) * np.eye(len(c)) + self.mu * (flat * divided.ravel()) @ flat.T
 
     def _inside(self) -> np.ndarray | None:
-        """The least move that lifts all eigenvalues above zero, step by step."""
+        """The least move that lifts all eigenvalues clearly above zero, step by step."""
         c = np.zeros(len(self.pull))
         for _ in range(60):
             t, v = np.linalg.eigh(self.at(c))
-            if t[0] > 0.0:
+            if t[0] > EDGE:
                 return c
             low = t < INSIDE
             rise = np.einsum("ai,pab,bi->pi", v[:, low], self.slopes, v[:, low])
