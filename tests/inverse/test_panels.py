@@ -61,7 +61,7 @@ def test_cone_skirt_drapes_back_from_its_flat_panel():
     whole, flat = cone_skirt(young=1e7)
     assert np.abs(flat.stretches - 1.0).max() < 1e-8
     result, coordinates = solve_panels(
-        Problem(whole, MPI.COMM_SELF), whole, flat.coordinates, [], 0.0, InverseOptions(iterations=10)
+        Problem(whole, MPI.COMM_SELF), whole, flat, [], 0.0, InverseOptions(iterations=10)
     )
     assert result.converged, result.reason
     assert result.adjoint is not None
@@ -70,3 +70,16 @@ def test_cone_skirt_drapes_back_from_its_flat_panel():
     assert sag < 0.01 * height
     assert result.simulation.sag < 0.7 * result.adjoint.steps[0].sag
     assert coordinates.shape == flat.coordinates.shape
+
+
+def test_metric_is_the_mean_square_of_the_strain():
+    """Of a pattern stretched by 1 % one way and sheared: e11^2 + 2 e12^2, and a little of the displacements."""
+    whole, flat = cone_skirt(young=1e7)
+    problem = Problem(whole, MPI.COMM_SELF)
+    panels = PanelRest(problem, flat.coordinates)
+    z, out = panels.create(), panels.create()
+    moved = flat.coordinates @ np.array([[0.01, 0.004], [0.004, 0.0]])
+    z.array[:] = moved.ravel()
+    panels.metric().mult(z, out)
+    still = 0.1 * np.mean((moved**2).sum(axis=1)) / problem.size() ** 2
+    np.testing.assert_allclose(z.dot(out), 0.01**2 + 2.0 * 0.004**2 + still, rtol=1e-12)

@@ -29,6 +29,7 @@ from voile.solver.statics import create_snes, solve_statics
 
 PATIENCE = 200  # Newton iterations of one equilibrium
 FIRST_RADIUS = 2e-3  # of the trust region: root mean square of the rest shape's change over the size
+FIRST_STRAIN = 1e-2  # the same for flat panels: root mean square of their strain
 LAST_RADIUS = 1e-4  # of the first one: no step improves
 SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objective by less than this share
 PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
@@ -165,7 +166,10 @@ class Objective:
         return True
 
     def accept(self) -> None:
-        """Simulations start from the present equilibrium from now on; slip is still measured from the target."""
+        """Simulations start from the present equilibrium from now on; slip is still measured from the target. Those of
+        panels start from the target, as a drape does: of two equilibria they show the one that it finds."""
+        if isinstance(self.design, PanelRest):
+            return
         self.start = self.state.copy()
         if self.problem.contact:
             self.began = self.problem.contact.state.copy()
@@ -270,8 +274,9 @@ def minimise(
         state = target.rest.state(start) if surface else problem.create_vector()
         objective = Objective(target, design, start, state, regularisation, accuracy)
         z, path = start.copy(), AdjointPath(start, start)
-        radius = FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
-        tao = _optimiser(objective, z, radius)
+        metric = design.metric() if isinstance(design, PanelRest) else None
+        radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
+        tao = _optimiser(objective, z, radius, metric)
         tao.setMaximumIterations(iterations)
         tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
         tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
@@ -305,8 +310,9 @@ def keep_what_is_reached(target: Target, path: AdjointPath, accuracy: float, pan
     return run
 
 
-def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
-    """TAO for the objective, from z on, which it moves; radius: of the first trust region."""
+def _optimiser(objective: Objective, z: PETSc.Vec, radius: float, metric: PETSc.Mat | None) -> PETSc.TAO:
+    """TAO for the objective, from z on, which it moves; radius: of the first trust region, in the metric, which
+    preconditions the products, or the plain norm."""
     tao = PETSc.TAO().create(comm=objective.problem.comm)
     tao.setOptionsPrefix("inverse_")
     tao.setType(PETSc.TAO.Type.NTR)
@@ -319,17 +325,17 @@ def _optimiser(objective: Objective, z: PETSc.Vec, radius: float) -> PETSc.TAO:
         objective.accept()
         objective.shifted = 0.0
 
-    tao.setHessian(accepted, hessian, hessian)
+    tao.setHessian(accepted, hessian, metric or hessian)
     tao.setInitialTrustRegionRadius(radius)
     tao.setTolerances(gatol=0.0, grtol=0.0, gttol=1e-6)
-    _defaults(tao)
+    _defaults(tao, PETSc.PC.Type.CHOLESKY if metric else PETSc.PC.Type.NONE)
     tao.setSolution(z)
     return tao
 
 
-def _defaults(tao: PETSc.TAO) -> None:
+def _defaults(tao: PETSc.TAO, preconditioner: str) -> None:
     """What the options do not say: the trust region's first radius as set; no reduction too small to be judged (TAO
-    takes all under 1e-6, and so small are sags of 1e-3); few products, no preconditioner."""
+    takes all under 1e-6, and so small are sags of 1e-3); few products."""
     options = PETSc.Options("inverse_")
     for name, value in {"tao_ntr_init_type": "constant", "tao_ntr_epsilon": "1e-30"}.items():
         if not options.hasName(name):
@@ -338,7 +344,9 @@ def _defaults(tao: PETSc.TAO) -> None:
     ksp = tao.getKSP()
     if ksp:
         ksp.setTolerances(rtol=ACCURACY, max_it=PRODUCTS)
-        ksp.pc.setType(PETSc.PC.Type.NONE)
+        ksp.pc.setType(preconditioner)
+        if preconditioner != PETSc.PC.Type.NONE:
+            ksp.pc.setFactorSolverType("mumps")
         ksp.setFromOptions()
 
 

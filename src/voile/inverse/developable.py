@@ -10,13 +10,17 @@ so every shape that is simulated satisfies them to round-off; derivatives are pr
 of the adjoint method like any other: no multipliers, no penalty.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.errors import NotConverged
+from voile.inverse.flatten import FlatPanels, flatten, overlaps
 from voile.inverse.target import Target
+from voile.problem.partition import gathered
 from voile.problem.rest import RestShape
 from voile.problem.shell import Shell
 
@@ -230,3 +234,32 @@ class DevelopableRest:
     def idle(self) -> np.ndarray:
         """(own,) marks entries that are no design variables."""
         return self.rest.idle()
+
+
+def start_of_panels(
+    target: Target, shell: Shell | None, z: PETSc.Vec, flat: FlatPanels | None
+) -> np.ndarray | None:
+    """(p, 2) m on rank 0: the panels of the developable shape nearest to the rest shape z, which hang nearer to the
+    target than the target laid flat does; `flat` itself where there is none, or where its panels overlap. The shell has
+    `flat` as rest shape; both on rank 0."""
+    seams = None if shell is None else _on_seams(shell)
+    design, points = DevelopableRest(target, shell, seams), None
+    try:
+        design.set(z)
+        points = gathered(target.problem, target.x + target.problem.motion(design.projected))
+    except NotConverged:
+        pass
+    target.rest.set(z)
+    if shell is None or flat is None or points is None:
+        return flat.coordinates if flat else None
+    panels = flat.panels
+    surface = panels.points.copy()
+    surface[panels.vertex[shell.rest_triangles]] = points[shell.triangles]
+    nearer = flatten(replace(panels, points=surface)).coordinates
+    return flat.coordinates if any(overlaps(nearer[each]) for each in panels.outlines) else nearer
+
+
+def _on_seams(shell: Shell) -> np.ndarray:
+    """Vertices that have several in the rest shape."""
+    pairs = np.column_stack([shell.triangles.ravel(), shell.rest_triangles.ravel()])
+    return np.flatnonzero(np.bincount(np.unique(pairs, axis=0)[:, 0]) > 1)

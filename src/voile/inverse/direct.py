@@ -166,7 +166,9 @@ class Direct:
         target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
         norm, best, worst, idle = math.inf, math.inf, 0.0, 0
-        noise = force_floor(problem)  # then that of this start: a failed way may have left the matrix of a wild state
+        noise = force_floor(
+            problem
+        )  # then that of this start: a failed way may have left the matrix of a wild state
         for it in range(MOST + 1):
             y, norm = self._evaluate(z, f)
             invalid = self.invalid()

@@ -11,10 +11,11 @@ from petsc4py import PETSc
 from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
-from voile.inverse.adjoint import NEAR, AdjointPath, keep_what_is_reached, minimise
+from voile.inverse.adjoint import NEAR, REASON, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
-from voile.inverse.developable import DevelopableRest
+from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
+from voile.inverse.flatten import FlatPanels
 from voile.inverse.nearest import NearestPath, approach
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.target import HOLDS, Target
@@ -109,7 +110,7 @@ class InverseResult:
         if self.panels or self.trade:
             what = "flat panels" if self.panels else "developable rest shape"
             kind = "a stable" if self.stable else "an unstable"
-            return f"{what} with {kind} equilibrium near the target{leaves}"
+            return f"{what} with {kind} equilibrium {self.simulation.sag:.2g} sizes from the target{leaves}{self._more()}"
         if self.direct.converged:
             return (
                 "target in stable equilibrium"
@@ -126,6 +127,10 @@ class InverseResult:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
         sag = f"with sag {self.simulation.sag:.2e}"
         return f"nearest stable answer found, {sag}{leaves}; exactly, {self.direct.reason}"
+
+    def _more(self) -> str:
+        cut_short = self.adjoint and self.adjoint.reason == REASON.DIVERGED_MAXITS
+        return "; more inverse.iterations may come nearer" if cut_short else ""
 
     def _stays(self) -> bool:
         """Whether a simulation from the target ends in the answer that a search found beside it."""
@@ -287,7 +292,7 @@ def _make_developable(
 def solve_panels(
     problem: Problem,
     shell: Shell | None,
-    coordinates: np.ndarray,
+    flat: FlatPanels | None,
     obstacles: list[Obstacle],
     offset: float,
     options: InverseOptions | None = None,
@@ -296,15 +301,14 @@ def solve_panels(
     layers: Layers | None = None,
     on_found: Callable[[np.ndarray], None] | None = None,
 ) -> tuple[InverseResult, np.ndarray]:
-    """As `solve_inverse` with flat panels, the problem's rest shape, whose 2D coordinates (p, 2) m, given on every
-    rank, are the design variables: the panels that drape nearest to the target, and their coordinates, which on_found
-    takes."""
+    """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
+    variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
     path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
-    panels = PanelRest(problem, coordinates)
+    panels = PanelRest(problem, problem.comm.bcast(start_of_panels(target, shell, path.rest, flat)))
     adjoint = minimise(
         target,
         panels.create(),

@@ -237,3 +237,15 @@ def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numberi
         other = topology.across
         ring = ring | (ring[np.maximum(other, 0) // 3] & (other >= 0)).any(axis=1)
     return numbering.triangle_order[ring[numbering.triangle_order]]
+
+
+def gathered(problem, local):
+    """(n, ...) values in the input's order on rank 0 of each rank's local vertices; None elsewhere."""
+    own = problem.part.owned_vertices
+    pieces = problem.comm.gather((problem.part.vertex[own], local[own]))
+    if pieces is None:
+        return None
+    total = np.zeros((sum(len(index) for index, _ in pieces), *local.shape[1:]))
+    for index, values in pieces:
+        total[index] = values
+    return total

@@ -3,12 +3,14 @@
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.discrete import Blocks, Problem
 from voile.problem.partition import Part
 
+STILL = 0.1  # weight of panels' mean square displacement over the size, beside that of their strain
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
 
@@ -240,6 +242,38 @@ class PanelRest:
         weight = self.create()
         weight.set(2.0 / self.base.size)
         return weight
+
+    def metric(self) -> PETSc.Mat:
+        """Quadratic form of design variables: the mean square of the strain that they put into the panels, with a
+        little of their displacements over the size. A wide smooth change is as near in it as a small rough one."""
+        form = self.problem.comm.reduce(self._strain_form())
+        size = self.base.size
+        here = 0 if form is None else size
+        still = STILL / (0.5 * size * self.problem.size() ** 2)
+        form = sp.csr_matrix((0, size)) if form is None else (form + still * sp.identity(size)).tocsr()
+        matrix = PETSc.Mat().createAIJ(
+            ((here, size), (here, size)), csr=(form.indptr, form.indices, form.data), comm=self.problem.comm
+        )
+        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        return matrix
+
+    def _strain_form(self) -> sp.csr_matrix:
+        """Of this rank's triangles."""
+        part = self.problem.part
+        corners, area = part.rest_vertex[part.rest_corners], self._area0 * part.weight
+        x = self.base[corners]
+        opposite = np.roll(x, 1, axis=1) - np.roll(x, -1, axis=1)
+        slope = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / (2.0 * self._area0)[:, None, None]
+        strain = np.zeros((len(corners), 3, 3, 2))  # e11, e22, sqrt(2) e12 by corner and axis
+        strain[:, 0, :, 0], strain[:, 1, :, 1] = slope[..., 0], slope[..., 1]
+        strain[:, 2] = slope[..., ::-1] / np.sqrt(2.0)
+        strain *= np.sqrt(area / self.problem.comm.allreduce(area.sum()))[:, None, None, None]
+        column = np.broadcast_to((2 * corners[:, :, None] + np.arange(2))[:, None], strain.shape)
+        row = np.repeat(np.arange(3 * len(corners)), 6)
+        by_variable = sp.csr_matrix(
+            (strain.ravel(), (row, column.ravel())), shape=(3 * len(corners), self.base.size)
+        )
+        return (by_variable.T @ by_variable).tocsr()
 
     def linearise(self, y: PETSc.Vec) -> None:
         """Takes dR/dX at the state y for `push` and `pull`."""

@@ -44,20 +44,6 @@ def find_layers(scene, model, shell, comm):
     return comm.bcast(layers)
 
 
-def gathered(problem, local):
-    """(n, ...) values in the input's order on rank 0 of each rank's local vertices; None elsewhere."""
-    import numpy as np
-
-    own = problem.part.owned_vertices
-    pieces = problem.comm.gather((problem.part.vertex[own], local[own]))
-    if pieces is None:
-        return None
-    total = np.zeros((sum(len(index) for index, _ in pieces), *local.shape[1:]))
-    for index, values in pieces:
-        total[index] = values
-    return total
-
-
 def on_root(comm, action):
     """What an action gives on rank 0, None elsewhere; its error on all ranks."""
     outcome = failure = None

@@ -9,8 +9,9 @@ import numpy as np
 
 from voile.inverse.pattern import write_rest_obj
 from voile.mesh import METRES, write_obj
+from voile.problem.partition import gathered
 from voile.results import ResultWriter, StaticMesh
-from voile.tasks.common import find_layers, gathered, on_root, rows, summarise, versions
+from voile.tasks.common import find_layers, on_root, rows, summarise, versions
 from voile.tasks.estimate import run_estimation
 from voile.tasks.patterns import (
     cut_apart,
@@ -116,7 +117,7 @@ def _solve_panels(scene, model, shell, folder: Path, options, comm, progress: Pr
     result, _ = solve_panels(
         problem,
         cut,
-        comm.bcast(flat.coordinates if flat else None),
+        flat,
         bodies,
         offset,
         options,
