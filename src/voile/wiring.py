@@ -13,7 +13,7 @@ from voile.elastic import model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, read_body, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
-from voile.problem.shell import Shell, triangle_areas
+from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
@@ -22,6 +22,7 @@ from voile.scene.schema import Obstacle as ObstacleSpec
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
 SUNK_TOLERANCES = 5.0
+CLOSED, GAPING = 1e-6, 0.01  # of the size: seams of a target that are closed, and those that do not close
 
 
 @dataclass
@@ -73,8 +74,10 @@ def build_model(scene: Scene) -> Model:
     if offset is None:
         offset = 0.5 * float(shell.thickness.max())
     notes = list(surface.notes)
+    size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    if scene.scene.task == "inverse" and not scene.inverse.estimate:
+        notes += _gaping(shell, size, spec.mesh)
     if bodies:
-        size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
         deepest = DEEPEST * size
         if scene.scene.task == "inverse":
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
@@ -98,6 +101,23 @@ def _sunk(bodies: list[Obstacle], shell: Shell, offset: float, tolerance: float)
                 f"more than inverse.contact_tolerance = {tolerance:g} m: it is taken to touch there as it is"
             )
     return notes
+
+
+def _gaping(shell: Shell, size: float, mesh: Path) -> list[str]:
+    """What a user should know of a target whose seams are open. Raises InputError where that makes it no target."""
+    gaps = seam_gaps(shell)
+    if gaps.max(initial=0.0) <= CLOSED * size:
+        return []
+    worst, count = int(gaps.argmax()), int((gaps > CLOSED * size).sum())
+    ends = sorted({int(shell.first[worst]), int(shell.second[worst])})
+    where = (
+        f"{count} of {len(gaps)} sewn vertices lie off their seam, up to {gaps[worst]:.4g} m "
+        f"(vertex {shell.slave[worst]} from {' and '.join(map(str, ends))})"
+    )
+    if gaps[worst] > GAPING * size:
+        allowed = f"{GAPING * size:.4g} m, {GAPING:.0%} of its size"
+        raise InputError(f"{mesh}: the target's seams do not close: {where}; allowed: {allowed}")
+    return [f"{where}: the target is closed there first, and sag counts from the closed shape"]
 
 
 def _seams(surface: Surface) -> dict[str, np.ndarray]:

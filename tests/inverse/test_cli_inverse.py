@@ -12,7 +12,7 @@ from test_panels import cone_skirt
 
 from voile.cli import main
 from voile.inverse import solve
-from voile.mesh import read_mesh, write_obj
+from voile.mesh import Stitches, read_mesh, write_obj
 from voile.results import read_result
 
 ROD = """
@@ -255,3 +255,28 @@ def test_a_developable_rest_shape_flattens_exactly(tmp_path):
     away = np.linalg.norm(draped_from_pattern(tmp_path) - target, axis=1).max()
     print(f"draped from the flat pattern: {away / height:.2g} of the height away")
     assert away < 0.01 * height
+
+
+@pytest.mark.parametrize("gap, code", [(1e-3, 0), (8e-3, 2)])
+def test_a_target_whose_seams_gape_is_told_of_or_refused(tmp_path, gap, code):
+    """Two halves of a sheet that hangs from one edge, a gap between them: 0.2 or 1.6 % of the size."""
+    points, triangles = grid(6, 4, 0.3, 0.2)
+    points = points[:, [0, 2, 1]]
+    right = points + np.array([0.3 + gap, 0.0, 0.0])
+    start = np.flatnonzero(points[:, 0] < 1e-9)
+    end = np.flatnonzero(points[:, 0] > 0.3 - 1e-9)
+    first = end.astype(np.int32)
+    stitches = Stitches(len(points) + start.astype(np.int32), first, first, np.zeros(len(end)))
+    both = np.concatenate([points, right])
+    write_obj(
+        tmp_path / "target.obj", both, np.concatenate([triangles, triangles + len(points)]), stitches=stitches
+    )
+    scene(tmp_path, "[[fix]]\nselect = { box = [[-1, -1, 0.1999], [1, 1, 1]] }", young=1e8)
+    found, said = run(tmp_path)
+    assert found == code, said
+    worst = f"up to {gap:.4g} m (vertex {len(points) + start[0]} from {first[0]})"
+    if code:
+        assert "the target's seams do not close: 5 of 5 sewn vertices" in said and worst in said
+    else:
+        (note,) = json.loads((tmp_path / "out" / "summary.json").read_text())["notes"]
+        assert worst in note and "sag counts from the closed shape" in note

@@ -110,7 +110,8 @@ class InverseResult:
         if self.panels or self.trade:
             what = "flat panels" if self.panels else "developable rest shape"
             kind = "a stable" if self.stable else "an unstable"
-            return f"{what} with {kind} equilibrium {self.simulation.sag:.2g} sizes from the target{leaves}{self._more()}"
+            where = f"{self.simulation.sag:.2g} sizes from the target{leaves}"
+            return f"{what} with {kind} equilibrium {where}{self._more()}"
         if self.direct.converged:
             return (
                 "target in stable equilibrium"

@@ -11,7 +11,7 @@ from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
-from voile.problem.shell import Shell, seam_gap, triangle_areas
+from voile.problem.shell import Shell, seam_gaps, triangle_areas
 
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
@@ -49,7 +49,7 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     thin = _across_slivers(x, shell.triangles, np.pi * offset)
     barred = np.unique(np.concatenate([near, thin, _joined(sewn, n)]), axis=0)
     layers = Layers(x, shell.triangles, edges, barred, 2.0 * offset, friction)
-    caught = layers.nearer(seam_gap(shell))
+    caught = layers.nearer(seam_gaps(shell).max(initial=0.0))
     return replace(layers, barred=np.concatenate([barred, caught]), caught=len(np.unique(caught, axis=0)))
 
 

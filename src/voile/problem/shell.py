@@ -108,10 +108,8 @@ def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:
     return np.argsort(key, kind="stable")
 
 
-def seam_gap(shell: Shell) -> float:
-    """Largest distance of the start shape's seams (m)."""
-    if not len(shell.slave):
-        return 0.0
+def seam_gaps(shell: Shell) -> np.ndarray:
+    """(s,) distance of the start shape's seams (m), for each sewn vertex."""
     x, w = shell.points, shell.weight[:, None]
     apart = x[shell.slave] - (1.0 - w) * x[shell.first] - w * x[shell.second]
-    return float(np.linalg.norm(apart, axis=1).max())
+    return np.linalg.norm(apart, axis=1)

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
-from voile.problem.shell import Shell, seam_gap
+from voile.problem.shell import Shell, seam_gaps
 from voile.solver.newton import Newton
 from voile.solver.statics import create_snes
 
@@ -31,7 +31,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
     The panels are drawn together smoothly and then relaxed, free of supports and loads, until their elastic energy
     settles; supports later hold their vertices where these have come to be. A start for statics, not an equilibrium.
     """
-    open_seams = comm.bcast(seam_gap(shell) > _edge(shell) if shell else None)
+    open_seams = comm.bcast(seam_gaps(shell).max(initial=0.0) > _edge(shell) if shell else None)
     if not open_seams:
         return shell
     loose = None
