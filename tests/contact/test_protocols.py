@@ -71,7 +71,8 @@ def test_quadratic_convergence():
             norms.clear()
         norms.append(norm)
 
-    path = solve_statics(problem, StaticsOptions(load_steps=2, stability=False), monitor=monitor)
+    problem.monitor = monitor
+    path = solve_statics(problem, StaticsOptions(load_steps=2, stability=False))
     assert path.converged and path.steps[-1].contact["slip"] > 0
     print([f"{norm:.1e}" for norm in norms])
     falls = [b / a for a, b in itertools.pairwise(norms)]

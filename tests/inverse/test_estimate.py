@@ -8,7 +8,7 @@ from inverse_shells import folded_skirt, grid, hanging_sheet, shell, strip
 from mpi4py import MPI
 
 from voile.contact.obstacles import Cylinder, Motion, Plane
-from voile.errors import InputError
+from voile.errors import InputError, NotConverged
 from voile.inverse.estimate import Estimation
 from voile.inverse.observation import Observation, UnknownRest
 from voile.problem.contact import attach
@@ -183,6 +183,21 @@ def test_friction_is_refused_where_nothing_slips(draped):
         on_the_drum(draped, ("friction",), friction=0.9).solve()
     with pytest.raises(InputError, match="touches nothing"):
         Estimation([Observation(seen(sheet(), draped))], ("friction",))
+
+
+@pytest.mark.parametrize(
+    "guess, ends", [(0.2, "does not depend on friction near 0.8"), (0.01, "slides or falls")]
+)
+def test_a_guess_of_friction_under_which_the_shell_slides_is_doubled(guess, ends):
+    """A sheet on an incline of 30 degrees (tangent 0.577); what holds there does not depend on friction."""
+    points, triangles = grid(4, 4, 0.2, 0.2)
+    turn = np.radians(30.0)
+    normal = np.array([-np.sin(turn), 0.0, np.cos(turn)])
+    lying = points @ np.array([[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], normal])
+    incline = Plane(name="incline", friction=guess, point=np.zeros(3), normal=normal)
+    of = shell(lying, triangles, np.zeros(lying.shape, dtype=bool), young=1e8)
+    with pytest.raises((InputError, NotConverged), match=ends):
+        Estimation([Observation(seen(of, lying), obstacles=(incline,))], ("friction",), 1e-9).solve()
 
 
 @pytest.mark.parametrize("guess", [0.15, pytest.param(0.5, marks=pytest.mark.slow)])

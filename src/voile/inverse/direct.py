@@ -171,6 +171,8 @@ class Direct:
         )  # then that of this start: a failed way may have left the matrix of a wild state
         for it in range(MOST + 1):
             y, norm = self._evaluate(z, f)
+            if problem.monitor:
+                problem.monitor(fraction, it, norm)
             invalid = self.invalid()
             if invalid:
                 return invalid, norm, it

@@ -24,6 +24,7 @@ MOST, SETTLED = 40, 1e-9  # iterations; change of the logarithms of the paramete
 STUCK = 1e-4  # the same of a step that should decrease the misfit and does not
 FARTHEST = np.log(4.0)  # change of a parameter in one iteration
 HALVINGS = 8
+DOUBLINGS = 3  # of a first guess of friction under which nothing holds
 NEARER = 0.9  # of the misfit: another branch
 DIFFERENCE = 1e-3  # of the logarithms in central differences
 # Least over largest singular value of sensitivities, from tangents and from differences, under which parameters cannot
@@ -74,6 +75,10 @@ class Estimation:
         """The estimate. Raises NotConverged where it does not settle, InputError where the data cannot determine it."""
         p, history = self.start.copy(), []
         states = self._simulate(p)
+        for _ in range(DOUBLINGS if "friction" in self.names else 0):
+            if states is None:  # it may slide for want of friction
+                p[self.names.index("friction")] += np.log(2.0)
+                states = self._simulate(p)
         if states is None:
             raise NotConverged(f"estimation: with the first guess of the parameters: {self._reason()}")
         for iteration in range(MOST):

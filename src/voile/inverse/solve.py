@@ -100,12 +100,14 @@ class InverseResult:
     @property
     def reason(self) -> str:
         far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
-        settles = "" if self.disturbed.path.converged else "; the simulation from beside it did not settle"
+        settled, beside = self.simulation.path.converged, self.disturbed.path.converged
+        settles = "; the simulation from beside it did not settle" if settled and not beside else ""
         return self._finding() + far + settles
 
     def _finding(self) -> str:
         if not self.simulation.path.converged:
-            return self.simulation.path.reason
+            without = "" if self.direct.converged else f"{self.direct.reason}; {self._kept()}; simulated, "
+            return without + self.simulation.path.reason
         leaves = "" if self._stays() else "; a simulation from the target leaves it"
         if self.panels or self.trade:
             what = "flat panels" if self.panels else "developable rest shape"
@@ -123,11 +125,16 @@ class InverseResult:
             where = "; a simulation from it leaves it" if self._drifts else leaves
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
-            return f"{self.direct.reason}; kept is the rest shape at {self.direct.fraction:.4g} of the load"
+            return f"{self.direct.reason}; {self._kept()}"
         if not self.stable:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
         sag = f"with sag {self.simulation.sag:.2e}"
         return f"nearest stable answer found, {sag}{leaves}; exactly, {self.direct.reason}"
+
+    def _kept(self) -> str:
+        if self.nearest or self.adjoint:
+            return "kept is the nearest found"
+        return f"kept is the rest shape at {self.direct.fraction:.4g} of the load"
 
     def _more(self) -> str:
         cut_short = self.adjoint and self.adjoint.reason == REASON.DIVERGED_MAXITS
@@ -346,8 +353,8 @@ def inverse_report(result: InverseResult) -> dict:
         "load_fraction": direct.fraction,
         "critical_fraction": direct.critical,
         "residual_at_target": result.residual if direct.steps else None,
-        "sag": result.simulation.sag,
-        "sag_disturbed": result.disturbed.sag,
+        "sag": result.simulation.settled_sag,
+        "sag_disturbed": result.disturbed.settled_sag,
         "stable": result.stable,
         "smallest_eigenvalue": result.eigenvalue,
         "direct_iterations": direct.iterations,

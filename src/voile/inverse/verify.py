@@ -27,6 +27,11 @@ class Simulation:
     contact: Contact | None
 
     @property
+    def settled_sag(self) -> float | None:
+        """The sag where there is an equilibrium."""
+        return self.sag if self.path.converged else None
+
+    @property
     def eigenvalue(self) -> float:
         """Smallest omega^2 (1/s^2) where it was asked for, else a number of the same sign."""
         value = self.path.smallest_eigenvalue

@@ -1,7 +1,7 @@
 """The discrete problem on PETSc's layout: potential, residual and tangent of a distributed shell."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -26,7 +26,8 @@ class Problem:
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
     Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
     its work is then left out of `energy`. `moves`: some support is displaced along the load path;
-    `held`: there is one; `supported`: along every axis there is.
+    `held`: there is one; `supported`: along every axis there is. `monitor(load factor, iteration, residual in N)`, if
+    set, is told of every Newton iteration.
     """
 
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
@@ -50,6 +51,7 @@ class Problem:
         self.load_factor = 1.0
         self.contact: Contact | None = None
         self.anchor: Anchor | None = None
+        self.monitor: Callable[[float, int, float], None] | None = None
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
         self.flat = flat

@@ -59,7 +59,6 @@ class Path:
 
 
 Progress = Callable[[LoadStep, PETSc.Vec], None]
-Monitor = Callable[[float, int, float], None]
 
 
 def require(path: Path) -> Path:

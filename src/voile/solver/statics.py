@@ -8,7 +8,7 @@ from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
 from voile.problem.scales import round_off, slow_rate
 from voile.solver.newton import NOT_FINITE, Newton, use_cholesky
-from voile.solver.path import LoadStep, Monitor, Path, Progress, StaticsOptions, load_steps, tolerance
+from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.quasistatic import follow_contact
 from voile.solver.stability import smallest_eigenpair
 
@@ -28,6 +28,9 @@ def create_snes(problem: Problem, matrix: PETSc.Mat) -> tuple[PETSc.SNES, Newton
     snes.setPythonContext(newton)
     snes.setFunction(lambda _, y, f: problem.residual(y, f), problem.create_vector())
     snes.setJacobian(lambda _, y, j, p: problem.tangent(y, p), matrix)
+    monitor = problem.monitor
+    if monitor:
+        snes.setMonitor(lambda _, it, norm: monitor(problem.load_factor, it, norm))
     if problem.conservative:
         snes.setObjective(lambda _, y: problem.energy(y))
     ksp = snes.ksp
@@ -58,14 +61,11 @@ def solve_statics(
     *,
     start: PETSc.Vec | None = None,
     on_step: Progress | None = None,
-    monitor: Monitor | None = None,
 ) -> Path:
-    """Follows the load from 0 to 1. Calls on_step after each converged step, monitor(factor, iteration, residual)
-    after each Newton iteration. Does not raise for lack of convergence: see Path and `require`."""
+    """Follows the load from 0 to 1. Calls on_step after each converged step. Does not raise for lack of convergence:
+    see Path and `require`."""
     options = options or StaticsOptions()
     snes, newton = create_snes(problem, problem.create_matrix())
-    if monitor:
-        snes.setMonitor(lambda _, it, norm: monitor(problem.load_factor, it, norm))
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
     if start is None and not problem.contact:  # friction would remember it

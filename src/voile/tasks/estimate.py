@@ -32,6 +32,8 @@ def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: 
         sewn, observation = _observation(other, comm)
         observations.append(observation)
         shell = shell or sewn
+    for each in (unknown.observation, *observations) if unknown else observations:
+        each.problem.monitor = progress.iteration
     result = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown).solve(
         progress.estimate
     )

@@ -60,10 +60,10 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     summarise(
         scene, model, problem, result.simulation.path, folder, seconds, began, result=result, inverse=report
     )
-    progress.line(
-        f"sag {report['sag']:.2e} of the size, {report['sag_disturbed']:.2e} after a disturbance; "
-        f"{result.reason}"
+    sag, disturbed = (
+        "none" if value is None else f"{value:.2e} of the size" for value in (report["sag"], report["sag_disturbed"])
     )
+    progress.line(f"sag {sag}, {disturbed} after a disturbance; {result.reason}")
     return "" if result.converged else result.reason
 
 
@@ -74,6 +74,7 @@ def _solve_surface(scene, model, shell, folder: Path, options, comm, progress: P
     from voile.problem.discrete import Problem
 
     problem, figures = Problem(shell, comm), None
+    problem.monitor = progress.iteration
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
 
     def write(z) -> None:
@@ -106,6 +107,7 @@ def _solve_panels(scene, model, shell, folder: Path, options, comm, progress: Pr
     flat = on_root(comm, lambda: lay_flat(model, shell, _sewn(shell), apart=True))
     cut, figures = on_root(comm, lambda: cut_apart(shell, flat)), None
     problem = Problem(cut, comm)
+    problem.monitor = progress.iteration
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
     target = gathered(problem, problem.positions(problem.create_vector()))
 

@@ -24,6 +24,7 @@ def run_statics(scene, model, folder: Path, comm, progress: Progress, began: flo
     )
     shell = sew(model.shell if model else None, comm)
     problem = Problem(shell, comm)
+    problem.monitor = progress.iteration
     layers = find_layers(scene, model, shell, comm)
     bodies, offset = comm.bcast((model.obstacles, model.offset) if model else None)
     attach(problem, bodies, offset, layers)
@@ -49,7 +50,7 @@ def run_statics(scene, model, folder: Path, comm, progress: Progress, began: flo
             if step.factor >= 1.0 or reached % scene.output.every == 0:
                 keep(step, y)
 
-        path = solve_statics(problem, options, on_step=on_step, monitor=progress.iteration)
+        path = solve_statics(problem, options, on_step=on_step)
         if not path.converged and not reached:
             write(0.0, path.state, {"residual": float("inf"), "converged": 0.0})
         elif not path.converged and reached % scene.output.every:
