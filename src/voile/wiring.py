@@ -83,9 +83,16 @@ def build_model(scene: Scene) -> Model:
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
             notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
-    else:
+    if not bodies or (scene.scene.task == "statics" and not _pressed(shell, bodies)):
         check_supports(shell)
     return Model(shell, surface, rest, notes, bodies, offset)
+
+
+def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
+    """Whether anything may press the shell on obstacles, so that they hold it."""
+    loads = (shell.gravity, shell.pressure, shell.force, shell.moment, shell.motion)
+    loaded = any(load is not None and np.any(load) for load in loads)
+    return loaded or any(body.motion.moves for body in bodies)
 
 
 def _sunk(bodies: list[Obstacle], shell: Shell, offset: float, tolerance: float) -> list[str]:

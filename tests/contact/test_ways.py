@@ -4,7 +4,7 @@ import numpy as np
 import protocols
 import pytest
 
-from voile.contact.obstacles import Plane
+from voile.contact.obstacles import Box, Plane
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
 from voile.solver.quasistatic import Pace
@@ -49,3 +49,26 @@ def test_all_of_the_load_is_next_where_a_part_of_it_fails():
     assert pace.target == pytest.approx(0.2)
     pace.whole()
     assert pace.target == 1.0 and pace.nominal == 1.0
+
+
+@pytest.mark.parametrize("steps", [1, 10])
+@pytest.mark.parametrize("friction", [0.6, 10.0])
+def test_a_strip_does_not_fall_through_the_bench_that_it_lies_on(friction, steps):
+    """Pinned at one end in mid-air, its other half on a box: hanging straight down it were in equilibrium, too."""
+    points, triangles = protocols.plate(1.0, 0.2, 0.05)
+    pinned = protocols.held(points, (points[:, 0] < 1e-9, np.zeros(3)))
+    shell = protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0, **pinned)
+    bench = Box(
+        name="bench",
+        friction=friction,
+        center=np.array([3.05, 0.1, -0.1005]),
+        sizes=np.array([2.5, 0.5, 0.1]),  # halves
+    )
+    path, problem = protocols.solve(shell, bench, steps, offset=5e-4)
+    assert path.converged and path.stable
+    x = problem.positions(path.state)
+    assert x[:, 2].min() > -0.5  # 1 m where it hangs
+    end = path.steps[-1].contact
+    assert end["active"] >= 20 and end["max_penetration"] < 1e-10
+    if friction > 1.0:
+        assert x[points[:, 0] > 0.9, 2].min() > -1e-9  # its end stays where it lay

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.kept import Kept
@@ -37,6 +38,12 @@ SETTLED, NEARLY = (
     1e4,
 )  # tolerances, of the balance with all contacts kept; where round-off stops it before
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
+SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
+TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
+SLID, CLEAR = (
+    0.05,
+    0.02,
+)  # more, of its length, where it ends at the obstacle; a gap in sizes from which it does not
 ROUND_OFF = 10.0  # times round-off a norm may be due to it
 
 
@@ -60,14 +67,17 @@ class FrictionalSolver:
     def seconds(self) -> float:
         return self.semismooth.seconds + self.newton.seconds
 
-    def solve(self, y: PETSc.Vec, wanted: float, ways: int = 3) -> Outcome:
-        """y and the contact's state end at the equilibrium with a norm under `wanted` (N), or where they were."""
+    def solve(self, y: PETSc.Vec, wanted: float, ways: int = 3, only: Way | None = None) -> Outcome:
+        """y and the contact's state end at the equilibrium with a norm under `wanted` (N), or where they were. only: a
+        way in place of those that are tried one after the other."""
         self.iterations = 0
         self.contact.sharp = wanted / (SHARP * self.problem.size())
         if self._carried_through(y):
             return Outcome(
                 False, "", "supports carry layers of the shell through each other in one load step"
             )
+        if only:
+            return self.attempt(only, y, wanted)
         outcome = Outcome(False, "")
         first = self._by_complementarity if PETSc.Options().hasName(OPTION) else self.directly
         later: list[Way] = [self.pseudo_time.run]
@@ -223,6 +233,24 @@ class FrictionalSolver:
     def leave(self, y: PETSc.Vec, wanted: float) -> bool:
         """Whether a stable equilibrium was found from the saddle y, where y then is."""
         return self.attempt(partial(self._off_saddle, self.base.here(y)), y, wanted).converged
+
+    # ---- obstacles on the way ----
+
+    def passes(self, before: np.ndarray, began: float, after: np.ndarray) -> bool:
+        """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at
+        the present one, leads a vertex through an obstacle, deep through one at which it ends: there it may slide."""
+        problem, contact = self.problem, self.contact
+        way, now = after - before, problem.load_factor
+        length = np.linalg.norm(way, axis=1)
+        farthest = problem.comm.allreduce(float(length.max(initial=0.0)), op=MPI.MAX) / problem.size()
+        through, reach = np.zeros(len(way), dtype=bool), CLEAR * problem.size()
+        ends_at = [contact.gap(k, after, now) < reach for k in range(len(contact.obstacles))]
+        deep = [TOUCHING * problem.size() + SLID * length * near for near in ends_at]
+        for share in np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]:
+            x, factor = before + share * way, began + share * (now - began)
+            for k, depth in enumerate(deep):
+                through |= contact.gap(k, x, factor) < -depth
+        return not problem.everywhere(not (through & contact.movable).any())
 
     # ---- help ----
 

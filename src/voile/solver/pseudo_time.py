@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from voile.contact.state import State
 from voile.problem.anchor import Anchor, difference
 from voile.problem.scales import round_off, slow_rate
-from voile.solver.ways import KICKS, NEUTRAL, Outcome
+from voile.solver.ways import KICKS, NEUTRAL, Outcome, Place
 
 if TYPE_CHECKING:
     from voile.solver.frictional import FrictionalSolver
@@ -42,6 +42,7 @@ class PseudoTime:
         # steps without, and between, tries of the semismooth method; whether descent still settles them
         self._wait, self._patience, self._settles = 0, 0, True
         self._carried = True  # obstacles have taken along what sticks to them
+        self.watchful = False  # no step may lead through an obstacle
 
     def run(self, y: PETSc.Vec, wanted: float) -> Outcome:
         solver, problem, base = self.solver, self.problem, self.solver.base
@@ -53,9 +54,11 @@ class PseudoTime:
         rate, peak, pull, origin = FIRST_RATE * slow, np.inf, np.inf, base.here(y)
         try:
             for _ in range(STEPS):
-                home = y.copy()
+                home, place = y.copy(), base.here(y)
                 problem.anchor = Anchor(home, rate, mass)
                 done = self._step(y, wanted, ROUGH * loads, 0.5 * pull)
+                if done and self._passes(y, place):
+                    done = 0
                 self._carried |= bool(done)
                 if not done:
                     rate *= 1.0 if self._sharpened(y, wanted) else RAISE
@@ -91,14 +94,27 @@ class PseudoTime:
 
     def _arrives(self, y: PETSc.Vec, wanted: float, began: State) -> Outcome:
         """What the semismooth method finds from here, with the slip since the load step `began` where it can."""
-        solver = self.solver
+        solver, place = self.solver, self.solver.base.here(y)
         solver.begin(y)
         found = solver.attempt(solver.directly, y, wanted)
+        if found.converged and self._passes(y, place):
+            return self._failed("the way on leads through an obstacle")
         if not (found.converged or found.saddle) and self._sharpened(y, wanted):
             found = solver.attempt(solver.directly, y, wanted)
         if found.converged and (self.problem.held or self.contact.moves):
             self._recall(y, wanted, began)
         return replace(found, way="pseudo-time")
+
+    def _passes(self, y: PETSc.Vec, place: Place) -> bool:
+        """Whether the way from a place to y leads through an obstacle, where that is watched; y then is there again."""
+        if not self.watchful:
+            return False
+        solver, problem = self.solver, self.problem
+        before, now = problem.positions(solver.base.unknowns(place)), problem.load_factor
+        if not solver.passes(before, now, problem.positions(y)):
+            return False
+        solver.base.put(y, place)
+        return True
 
     def _sharpened(self, y: PETSc.Vec, wanted: float) -> bool:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""

@@ -6,7 +6,7 @@ or the shell snaps. Motion along a branch goes to zero with the load step, that 
 them apart, and find where it snaps.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -21,7 +21,7 @@ from voile.solver.frictional import FrictionalSolver
 from voile.solver.newton import Newton
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import smallest_eigenpair
-from voile.solver.ways import NEUTRAL, Outcome
+from voile.solver.ways import NEUTRAL, Outcome, Place, Way
 
 EASY = 10  # Newton iterations up to which a load step grows
 CUTS = 2  # quartered load steps before the ways that leave the branch are tried
@@ -104,7 +104,9 @@ def follow_contact(
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {pace.factor:g}"
             return
         path.attempts += 1
-        problem.load_factor, start = pace.target, solver.base.here(y)
+        problem.load_factor = pace.factor
+        before, start = problem.positions(y), solver.base.here(y)
+        problem.load_factor = pace.target
         if solver.contact.moves and not problem.held:
             _carry(problem, y, pace)
         done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
@@ -119,6 +121,9 @@ def follow_contact(
                 return
             pace.failed()
             continue
+        if problem.held and solver.passes(before, pace.factor, problem.positions(y)):
+            again = _past_obstacles(solver, y, start, options, path)
+            done = again or replace(done, way=f"{done.way}, through an obstacle")
         moved = problem.largest_motion(difference(y, path.state))
         stable = not options.stability or done.negative == 0 or solver.stable(y)
         leaps = moved > LEAP * _expected(problem, pace) or (pace.stable and not stable)
@@ -172,13 +177,20 @@ def _expected(problem: Problem, pace: Pace) -> float:
 
 
 def _solve(
-    solver: FrictionalSolver, y: PETSc.Vec, options: StaticsOptions, path: Path, ways: int
+    solver: FrictionalSolver,
+    y: PETSc.Vec,
+    options: StaticsOptions,
+    path: Path,
+    ways: int,
+    first: Way | None = None,
 ) -> tuple[LoadStep | None, Outcome]:
-    """The equilibrium at the problem's load factor; no step where there is none."""
+    """The equilibrium at the problem's load factor, first found by `first`, by default as the solver does; no step
+    where there is none."""
     problem, snes = solver.problem, solver.snes
     iterations, way = 0, ""
     for _ in range(ROUNDS):
-        outcome = solver.solve(y, tolerance(problem, y, options), ways)
+        outcome = solver.solve(y, tolerance(problem, y, options), ways, first)
+        first = None
         iterations += solver.iterations
         path.newton_iterations += solver.iterations
         path.seconds |= {"linear_solve": solver.seconds, "contact": solver.contact.seconds}
@@ -199,6 +211,23 @@ def _solve(
         way,
     )
     return done, outcome
+
+
+def _past_obstacles(
+    solver: FrictionalSolver, y: PETSc.Vec, start: Place, options: StaticsOptions, path: Path
+) -> LoadStep | None:
+    """The load step again in pseudo-time, in steps that do not lead through obstacles, from where it began; None, and y
+    as it is, where that has no end."""
+    leapt = solver.base.here(y)
+    solver.base.put(y, start)
+    solver.pseudo_time.watchful = True
+    try:
+        done, _ = _solve(solver, y, options, path, ways=1, first=solver.pseudo_time.run)
+    finally:
+        solver.pseudo_time.watchful = False
+    if done is None:
+        solver.base.put(y, leapt)
+    return done
 
 
 def _settle(

@@ -61,7 +61,8 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         scene, model, problem, result.simulation.path, folder, seconds, began, result=result, inverse=report
     )
     sag, disturbed = (
-        "none" if value is None else f"{value:.2e} of the size" for value in (report["sag"], report["sag_disturbed"])
+        "none" if value is None else f"{value:.2e} of the size"
+        for value in (report["sag"], report["sag_disturbed"])
     )
     progress.line(f"sag {sag}, {disturbed} after a disturbance; {result.reason}")
     return "" if result.converged else result.reason
