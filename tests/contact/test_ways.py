@@ -72,3 +72,14 @@ def test_a_strip_does_not_fall_through_the_bench_that_it_lies_on(friction, steps
     assert end["active"] >= 20 and end["max_penetration"] < 1e-10
     if friction > 1.0:
         assert x[points[:, 0] > 0.9, 2].min() > -1e-9  # its end stays where it lay
+
+
+def test_a_shell_that_snaps_on_and_on_takes_whole_steps_until_it_is_quiet():
+    pace = Pace(0.1, 2)
+    for _ in range(4):
+        assert not pace.shortest
+        pace.done(20, 0.01, True)
+    pace.step = pace.nominal
+    assert pace.shortest  # the onset of the next snap is not looked for
+    pace.done(20, 0.01, False)
+    assert not pace.shortest

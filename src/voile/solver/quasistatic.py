@@ -28,6 +28,10 @@ CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 LEAP = 5.0  # times the motion to be expected that a step may make
 NOTABLE = 0.01  # sizes of the shell: a smaller motion is none
 SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
+RESTLESS, QUIET = (
+    4,
+    0.25,
+)  # snaps from which their onset is not looked for; of a load step: without a snap, it is again
 NEARBY = 1e-3  # sizes: a gap at which an obstacle touches
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
@@ -35,7 +39,8 @@ ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has 
 @dataclass
 class Pace:
     """How long the next load step is, after how many cuts, and what the last ones let expect of it: rate, motion in
-    sizes of the shell per load factor; stable, whether it starts from a stable equilibrium."""
+    sizes of the shell per load factor; stable, whether it starts from a stable equilibrium; snaps since the last longer
+    step without one."""
 
     nominal: float
     most: int  # cuts
@@ -43,6 +48,7 @@ class Pace:
     cuts: int = 0
     rate: float = np.inf
     stable: bool = True
+    snaps: int = 0
 
     def __post_init__(self) -> None:
         self.step = self.longest = self.nominal
@@ -58,7 +64,8 @@ class Pace:
 
     @property
     def shortest(self) -> bool:
-        return self.most == 0 or self.target - self.factor <= SHORTEST * self.nominal
+        short = self.target - self.factor <= SHORTEST * self.nominal
+        return self.most == 0 or short or self.snaps >= RESTLESS
 
     def failed(self) -> None:
         """After a step without an equilibrium."""
@@ -75,6 +82,8 @@ class Pace:
 
     def done(self, iterations: int, moved: float, leaps: bool) -> None:
         self.rate = self.rate if leaps else moved / (self.target - self.factor)
+        quiet = not leaps and self.target - self.factor >= QUIET * self.nominal
+        self.snaps = 0 if quiet else self.snaps + leaps
         self.factor, self.cuts, self.longest = self.target, 0, self.nominal
         self.step = min(2.0 * self.step, self.nominal) if iterations <= EASY else self.step
 
