@@ -105,6 +105,7 @@ density = 300.0 | density = 1; rest = "none.obj" | none.obj: no such mesh file
 gravity = [0.0, 0.0, -9.81] | gravity = [0.0, -9.81] | loads.gravity: [0.0, -9.81] has length 2
 [loads] | [load] | unknown key (did you mean "loads"?)
 [loads] | [contact]; self_contact = true; offset = 0; [loads] | contact.offset: 0; allowed with self_contact: above 0
+[loads] | [contact]; self_friction = 0.3; [loads] | self_friction: 0.3; allowed without contact.self_contact = true: 0
 [loads] | [[obstacle]]; shape = "plane"; point = [0, 0, 9]; normal = [0, 0, 1]; [loads] | deep inside plane 0
 [loads] | [[obstacle]]; shape = "sphere"; center = [0, 0, 9]; radius = 0; [loads] | obstacle.0.radius: 0
 [loads] | [[obstacle]]; shape = "plane"; point = [0, 0, -9]; [loads] | the key "normal" is missing

@@ -230,6 +230,10 @@ class Contact:
     def check(self, given: set[str]) -> None:
         if self.self_contact and self.offset == 0.0:
             raise Rejected("0; allowed with self_contact: above 0, to keep layers apart", ("offset",))
+        if self.self_friction > 0.0 and not self.self_contact:
+            raise Rejected(
+                f"{self.self_friction:g}; allowed without contact.self_contact = true: 0", ("self_friction",)
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
