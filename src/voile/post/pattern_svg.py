@@ -11,7 +11,7 @@ from voile.results import Pattern, Piece
 
 MARGIN = 20.0  # mm
 LETTER = 0.011  # height of seam labels, of the drawing's size
-LABEL = 0.44  # of a seam: clear of its notches, and of a grain line through its middle
+LABEL = 0.22  # of a seam: clear of its notches, and of names and grain lines in the middle of pieces
 CLOTH = "#f6f3ea"
 BAR = 100.0  # mm, the scale bar to check a print with
 # layer: (number of ASTM D6673, colour, width in drawing sizes / 1000)
