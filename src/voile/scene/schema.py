@@ -202,9 +202,8 @@ class Obstacle:
             raise Rejected(f'not a key of shape = "{self.shape}"; allowed: {", ".join(sorted(own))}', (name,))
         for name in needed:
             if name not in given:
-                raise Rejected(
-                    f'the key "{name}" is missing; shape = "{self.shape}" needs {", ".join(needed)}'
-                )
+                needs = f'shape = "{self.shape}" needs {", ".join(needed)}'
+                raise Rejected(f'the key "{name}" is missing; {needs}')
         if self.shape == "capsule" and self.a == self.b:
             raise Rejected("equals a; allowed: another point (equal ends make a sphere)", ("b",))
         if self.tube is not None and self.radius is not None and self.tube >= self.radius:
@@ -219,9 +218,7 @@ class Contact:
         default=None,
     )
     self_contact: bool = key(
-        Boolean(),
-        "contact of the shell with itself: layers keep twice the offset between their mid-surfaces",
-        default=False,
+        Boolean(), "contact of the shell with itself: mid-surfaces keep twice the offset", default=False
     )
     self_friction: float = key(
         Number(least=0), "Coulomb's coefficient of friction of the shell on itself", default=0.0
@@ -231,9 +228,8 @@ class Contact:
         if self.self_contact and self.offset == 0.0:
             raise Rejected("0; allowed with self_contact: above 0, to keep layers apart", ("offset",))
         if self.self_friction > 0.0 and not self.self_contact:
-            raise Rejected(
-                f"{self.self_friction:g}; allowed without contact.self_contact = true: 0", ("self_friction",)
-            )
+            friction = f"{self.self_friction:g}"
+            raise Rejected(f"{friction}; allowed without contact.self_contact = true: 0", ("self_friction",))
 
 
 @dataclass(frozen=True, kw_only=True)
