@@ -60,9 +60,7 @@ class Layers:
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
-        ipctk.set_logger_level(
-            ipctk.LoggerLevel.error
-        )  # its warnings of small gaps: layers that touch have none
+        ipctk.set_logger_level(ipctk.LoggerLevel.error)  # it warns of small gaps, as touching layers have
         self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
         self.edges = np.ascontiguousarray(self.edges, dtype=np.int32)
         self._barred = self._pair_code(*self.barred.T)

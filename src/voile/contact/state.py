@@ -30,6 +30,9 @@ __all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "S
 PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
 LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
 OFF_BOUND = 1e-7  # share of friction
+TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
+SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
+CLEAR = 0.02  # sizes: a gap from which it does not end there
 BARRIER = 3.0  # stiffness of the barrier between layers, over rho
 
 
@@ -161,6 +164,22 @@ class Contact:
         )
         self.seconds += time.perf_counter() - began
         return share
+
+    def inside_on_the_way(
+        self, x: np.ndarray, began: float, moved: np.ndarray, ended: float, shares: np.ndarray, size: float
+    ) -> np.ndarray:
+        """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
+        load factor `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
+        (m): the shell's."""
+        start, way = time.perf_counter(), moved - x
+        length, inside = np.linalg.norm(way, axis=1), np.zeros(len(x), dtype=bool)
+        for k in range(len(self.obstacles)):
+            ends_here = self.gap(k, moved, ended) < CLEAR * size
+            depth = TOUCHING * size + SLID * length * ends_here
+            for share in shares:
+                inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
+        self.seconds += time.perf_counter() - start
+        return inside & self.movable
 
     # ---- the natural map ----
 

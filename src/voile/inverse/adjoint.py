@@ -129,7 +129,7 @@ class Objective:
         self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
         self.factor, self.accuracy = self.factors[True], accuracy
         self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
-        self.start = start.copy()  # of every simulation: the last accepted equilibrium
+        self.start = start.copy()  # of every simulation: see `accept`
         self.began = problem.contact.state.copy() if problem.contact else None
         self.state = self.start.copy()
         self.at: PETSc.Vec | None = None
@@ -297,7 +297,7 @@ def minimise(
 
 def keep_what_is_reached(target: Target, path: AdjointPath, accuracy: float, panels: PanelRest) -> Simulation:
     """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, or of the last few
-    the one that ends nearest: the search goes from equilibrium to equilibrium, a drape does not. That simulation."""
+    the one that ends nearest: the search's short simulations may end elsewhere than statics do. That simulation."""
     runs: list[tuple[Iterate, Simulation]] = []
     for iterate in path.trail[: -1 - TRIED : -1]:
         run = simulate(target, iterate.rest, accuracy, panels=panels, eigenvalue=True)

@@ -166,9 +166,8 @@ class Direct:
         target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
         norm, best, worst, idle = math.inf, math.inf, 0.0, 0
-        noise = force_floor(
-            problem
-        )  # then that of this start: a failed way may have left the matrix of a wild state
+        # then that of this start: a failed way may have left the matrix of a wild state
+        noise = force_floor(problem)
         for it in range(MOST + 1):
             y, norm = self._evaluate(z, f)
             if problem.monitor:
@@ -187,7 +186,8 @@ class Direct:
             best = min(best, norm)
             if not self._step(y, f, direction):
                 return "dR/dX is singular", norm, it
-            noise = self.floor() if it == 0 else noise
+            if it == 0:
+                noise = self.floor()
             z.axpy(-(1.0 if idle < CYCLING else self._shorter(z, direction, norm)), direction)
         return f"the residual stays at {norm:.2e} N", norm, it
 

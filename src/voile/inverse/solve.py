@@ -249,7 +249,8 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
     for smallest in (COARSE, SMALLEST):
         for hold in holds:
             target.firmness = hold * target.membrane
-            solver.check_round_off()
+            if hold not in paths:
+                solver.check_round_off()
             path = paths[hold] = solver.follow(on_step, guess, smallest, paths.get(hold))
             if path.converged or path.critical is not None:
                 break

@@ -39,11 +39,6 @@ SETTLED, NEARLY = (
 )  # tolerances, of the balance with all contacts kept; where round-off stops it before
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
-TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
-SLID, CLEAR = (
-    0.05,
-    0.02,
-)  # more, of its length, where it ends at the obstacle; a gap in sizes from which it does not
 ROUND_OFF = 10.0  # times round-off a norm may be due to it
 
 
@@ -238,19 +233,15 @@ class FrictionalSolver:
 
     def passes(self, before: np.ndarray, began: float, after: np.ndarray) -> bool:
         """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at
-        the present one, leads a vertex through an obstacle, deep through one at which it ends: there it may slide."""
-        problem, contact = self.problem, self.contact
-        way, now = after - before, problem.load_factor
-        length = np.linalg.norm(way, axis=1)
-        farthest = problem.comm.allreduce(float(length.max(initial=0.0)), op=MPI.MAX) / problem.size()
-        through, reach = np.zeros(len(way), dtype=bool), CLEAR * problem.size()
-        ends_at = [contact.gap(k, after, now) < reach for k in range(len(contact.obstacles))]
-        deep = [TOUCHING * problem.size() + SLID * length * near for near in ends_at]
-        for share in np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]:
-            x, factor = before + share * way, began + share * (now - began)
-            for k, depth in enumerate(deep):
-                through |= contact.gap(k, x, factor) < -depth
-        return not problem.everywhere(not (through & contact.movable).any())
+        the present one, leads a vertex through an obstacle."""
+        problem = self.problem
+        farthest = float(np.linalg.norm(after - before, axis=1).max(initial=0.0))
+        farthest = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+        shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
+        inside = self.contact.inside_on_the_way(
+            before, began, after, problem.load_factor, shares, problem.size()
+        )
+        return not problem.everywhere(not inside.any())
 
     # ---- help ----
 

@@ -42,9 +42,11 @@ class PseudoTime:
         # steps without, and between, tries of the semismooth method; whether descent still settles them
         self._wait, self._patience, self._settles = 0, 0, True
         self._carried = True  # obstacles have taken along what sticks to them
-        self.watchful = False  # no step may lead through an obstacle
+        self._watchful = False
 
-    def run(self, y: PETSc.Vec, wanted: float) -> Outcome:
+    def run(self, y: PETSc.Vec, wanted: float, watchful: bool = False) -> Outcome:
+        """watchful: no step may lead through an obstacle."""
+        self._watchful = watchful
         solver, problem, base = self.solver, self.problem, self.solver.base
         self._wait, self._patience, kick = 0, 0, 0
         self._settles, self._carried = not self.contact.itself, not self.contact.moves
@@ -97,17 +99,17 @@ class PseudoTime:
         solver, place = self.solver, self.solver.base.here(y)
         solver.begin(y)
         found = solver.attempt(solver.directly, y, wanted)
-        if found.converged and self._passes(y, place):
-            return self._failed("the way on leads through an obstacle")
         if not (found.converged or found.saddle) and self._sharpened(y, wanted):
             found = solver.attempt(solver.directly, y, wanted)
+        if found.converged and self._passes(y, place):
+            return self._failed("the way on leads through an obstacle")
         if found.converged and (self.problem.held or self.contact.moves):
             self._recall(y, wanted, began)
         return replace(found, way="pseudo-time")
 
     def _passes(self, y: PETSc.Vec, place: Place) -> bool:
         """Whether the way from a place to y leads through an obstacle, where that is watched; y then is there again."""
-        if not self.watchful:
+        if not self._watchful:
             return False
         solver, problem = self.solver, self.problem
         before, now = problem.positions(solver.base.unknowns(place)), problem.load_factor

@@ -7,6 +7,7 @@ them apart, and find where it snaps.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
@@ -28,10 +29,8 @@ CUTS = 2  # quartered load steps before the ways that leave the branch are tried
 LEAP = 5.0  # times the motion to be expected that a step may make
 NOTABLE = 0.01  # sizes of the shell: a smaller motion is none
 SHORTEST = 1.0 / 64.0  # of the load steps' length: a leap in less is a snap
-RESTLESS, QUIET = (
-    4,
-    0.25,
-)  # snaps from which their onset is not looked for; of a load step: without a snap, it is again
+RESTLESS = 4  # snaps from which their onset is not looked for
+QUIET = 0.25  # of the load steps' length: a step without a snap from which it is again
 NEARBY = 1e-3  # sizes: a gap at which an obstacle touches
 ROUNDS = 6  # solves at one load until the tolerance, taken from the state, has settled
 
@@ -113,9 +112,7 @@ def follow_contact(
             path.reason = f"max_steps = {options.max_steps} load steps ended at load factor {pace.factor:g}"
             return
         path.attempts += 1
-        problem.load_factor = pace.factor
-        before, start = problem.positions(y), solver.base.here(y)
-        problem.load_factor = pace.target
+        problem.load_factor, start = pace.target, solver.base.here(y)
         if solver.contact.moves and not problem.held:
             _carry(problem, y, pace)
         done, outcome = _solve(solver, y, options, path, ways=3 if pace.last_resort else 1)
@@ -130,7 +127,7 @@ def follow_contact(
                 return
             pace.failed()
             continue
-        if problem.held and solver.passes(before, pace.factor, problem.positions(y)):
+        if problem.held and solver.passes(start.state.reference, pace.factor, problem.positions(y)):
             again = _past_obstacles(solver, y, start, options, path)
             done = again or replace(done, way=f"{done.way}, through an obstacle")
         moved = problem.largest_motion(difference(y, path.state))
@@ -229,11 +226,7 @@ def _past_obstacles(
     as it is, where that has no end."""
     leapt = solver.base.here(y)
     solver.base.put(y, start)
-    solver.pseudo_time.watchful = True
-    try:
-        done, _ = _solve(solver, y, options, path, ways=1, first=solver.pseudo_time.run)
-    finally:
-        solver.pseudo_time.watchful = False
+    done, _ = _solve(solver, y, options, path, ways=1, first=partial(solver.pseudo_time.run, watchful=True))
     if done is None:
         solver.base.put(y, leapt)
     return done
