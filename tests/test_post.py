@@ -171,6 +171,7 @@ def test_export_reads_back(result, tmp_path, kind):
 def test_export_refuses(result, tmp_path):
     for name, message in (
         ("x.svg", "no pattern.json with a sewing pattern"),
+        ("x.png", "no pattern.json with a sewing pattern"),
         ("x.stl", "unknown format '.stl'"),
         ("none/x.ply", "cannot be written: No such file"),
         ("none/x.vtu", "cannot be written"),

@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
     )
     sub.add_argument("--view", help="front, back, left, right, top, oblique")
-    sub = command("export", _export, "a shape as obj, ply, vtu or glb, a sewing pattern as svg or dxf")
+    sub = command("export", _export, "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png")
     sub.add_argument("file", type=Path)
     where = sub.add_mutually_exclusive_group(required=True)
     where.add_argument("output", type=Path, nargs="?")
@@ -131,7 +131,7 @@ def _export(args: argparse.Namespace) -> None:
     from voile.post import export
 
     folder = args.file if args.file.is_dir() else args.file.parent
-    name = "pattern" if args.to in ("svg", "dxf") else "shape"
+    name = "pattern" if args.to in ("svg", "dxf", "png") else "shape"
     print(export(args.file, args.output or folder / f"{name}.{args.to}", args.step))
 
 

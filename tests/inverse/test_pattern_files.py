@@ -17,7 +17,7 @@ from voile.inverse.flatten import FlatPanels, flatten
 from voile.inverse.panels import split
 from voile.inverse.pattern import make_pattern, pattern_summary, write_rest_obj
 from voile.mesh import Pattern, read_mesh, read_rest, sewing_matrix
-from voile.post import draw_pattern, write_dxf, write_svg
+from voile.post import write_dxf, write_svg
 from voile.results import read_pattern, read_result, write_pattern
 
 ALLOWANCE = 0.012
@@ -213,7 +213,8 @@ def test_awkward_names_become_valid_and_distinct(flat, tmp_path):
 def test_picture_shows_the_panels(pattern, tmp_path):
     from PIL import Image
 
-    draw_pattern(tmp_path / "pattern.png", pattern)
+    write_pattern(tmp_path, pattern)
+    assert main(["export", str(tmp_path), "--to", "png"]) == 0
     image = np.asarray(Image.open(tmp_path / "pattern.png").convert("RGB"))
     assert image.shape[1] > 1500 and np.mean((image != 255).any(axis=2)) > 0.2
 

@@ -135,13 +135,21 @@ def _tutte(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.nd
 
 
 def _signed_svd(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """U, s, V of (m, 2, 2) = U diag(s) V^T with rotations U and V; s1 >= |s2|, s2 negative where flipped."""
-    u, s, vt = np.linalg.svd(jacobian)
-    turn_u, turn_v = np.linalg.det(u) < 0, np.linalg.det(vt) < 0
-    u[turn_u, :, 1] *= -1
-    vt[turn_v, 1] *= -1
-    s[turn_u ^ turn_v, 1] *= -1
-    return u, s, vt.transpose(0, 2, 1)
+    """U, s, V of (m, 2, 2) = U diag(s) V^T with rotations U and V; s1 >= |s2|, s2 negative where flipped.
+
+    In closed form: a matrix is a turned scaling plus a turned reflection (Blinn, IEEE CG&A 16(2), 1996).
+    """
+    (a, b), (c, d) = jacobian.transpose(1, 2, 0)
+    scaled, mirrored = 0.5 * np.hypot(a + d, c - b), 0.5 * np.hypot(a - d, c + b)
+    of_scaled, of_mirrored = np.arctan2(c - b, a + d), np.arctan2(c + b, a - d)
+    s = np.stack([scaled + mirrored, scaled - mirrored], axis=1)
+    return _turn(0.5 * (of_mirrored + of_scaled)), s, _turn(0.5 * (of_mirrored - of_scaled))
+
+
+def _turn(angle: np.ndarray) -> np.ndarray:
+    """(m, 2, 2) rotations by angles (m,) in radians."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
 
 
 class _Energy:
@@ -151,6 +159,12 @@ class _Energy:
         self.triangles, self.gradient, self.area, self.count = triangles, gradient, area, count
         rows = 2 * triangles[:, :, None] + np.arange(2)
         self.unknown = rows.reshape(-1, 6)  # of corner and axis
+        size = 2 * count
+        entries = size * np.tile(self.unknown, (1, 6)) + np.repeat(self.unknown, 6, axis=1)
+        places, self.entry = np.unique(entries, return_inverse=True)  # by column
+        ends = np.searchsorted(places, size * np.arange(size + 1))
+        self.pattern = (places % size, ends)
+        self.diagonal = np.searchsorted(places, (size + 1) * np.arange(size))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         return np.einsum("tij,tik->tjk", x[self.triangles], self.gradient)
@@ -181,15 +195,14 @@ class _Energy:
         modes = np.array(
             [[[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, -root], [root, 0]], [[0, root], [root, 0]]]
         )  # stretch twice, twist, flip
-        turned = np.einsum("tia,kab,tjb->tkij", u, modes, v, optimize=True)
-        along = np.einsum("tkij,tcj->tkci", turned, self.gradient).reshape(-1, 4, 6)
+        within = np.einsum("tjb,tcj->tcb", v, self.gradient)
+        along = np.einsum("tia,kab,tcb->tkci", u, modes, within, optimize=True).reshape(-1, 4, 6)
         local = along.transpose(0, 2, 1) @ ((eigenvalues * self.area[:, None])[:, :, None] * along)
-        size = 2 * self.count
-        rows, columns = np.repeat(self.unknown, 6, axis=1).ravel(), np.tile(self.unknown, (1, 6)).ravel()
-        matrix = sparse.csc_matrix((local.ravel(), (rows, columns)), shape=(size, size))
-        matrix += sparse.identity(size) * (SHIFT * matrix.diagonal().mean())
+        values = np.bincount(self.entry.ravel(), weights=local.ravel())
+        values[self.diagonal] += SHIFT * values[self.diagonal].mean()
+        matrix = sparse.csc_matrix((values, *self.pattern))
         force = -np.einsum("tij,tcj,t->tci", stress, self.gradient, self.area).reshape(-1)
-        total = np.bincount(self.unknown.ravel(), weights=force, minlength=size)
+        total = np.bincount(self.unknown.ravel(), weights=force)
         options = {"SymmetricMode": True}
         solved = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(total)
         return solved.reshape(-1, 2), total.reshape(-1, 2)

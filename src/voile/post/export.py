@@ -14,6 +14,7 @@ import numpy as np
 from voile.errors import InputError
 from voile.post.contact import surfaces
 from voile.post.pattern_dxf import write_dxf
+from voile.post.pattern_picture import draw_pattern
 from voile.post.pattern_svg import write_svg
 from voile.post.quantities import quantity
 from voile.results import Result, read_pattern, read_result
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     import pyvista
 
 FORMATS = (".obj", ".ply", ".vtu", ".glb")
-PATTERNS = {".svg": write_svg, ".dxf": write_dxf}
+PATTERNS = {".svg": write_svg, ".dxf": write_dxf, ".png": draw_pattern}
 
 
 def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int = -1) -> Path:
@@ -30,9 +31,9 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
 
     obj: the shape with its groups; ply: the shape in double precision; vtu: the shape with every stored field
     and displacement, strain, curvature, and the obstacles in a file of their own, NAME-obstacles.vtu; glb: the
-    shape and the obstacles with vertex normals, for viewers and web pages (single precision); svg, dxf: the sewing
-    pattern, whatever the step. Raises InputError for another extension, a result without pattern for
-    those two, a step that is not there, or a file that cannot be written.
+    shape and the obstacles with vertex normals, for viewers and web pages (single precision); svg, dxf, png: the sewing
+    pattern, whatever the step, the last coloured by its distortion. Raises InputError for another extension, a result
+    without pattern for those three, a step that is not there, or a file that cannot be written.
     """
     out = Path(out)
     kind = out.suffix.lower()

@@ -214,8 +214,9 @@ def _write_surface(scene, model, shell, folder: Path, rest: np.ndarray) -> dict:
     the pattern's figures."""
     s = model.surface
     laid = replace(shell, rest_points=rest)
+    spec = scene.inverse
     figures, flat, corners = pattern_of_surface(
-        folder, model, laid, rest, scene.inverse.seam_allowance, _up(shell)
+        folder, model, laid, rest, spec.seam_allowance, _up(shell), picture=bool(spec.developable)
     )
     write_obj(
         folder / "rest.obj", rest, shell.triangles, flat, corners, groups=(s.group, s.group_names), stitches=s.stitches,

@@ -81,29 +81,39 @@ def draw(flat: FlatPanels, allowance: float, up: np.ndarray | None) -> Pattern:
     return make_pattern(flat, allowance, None if up is None else up.tolist())
 
 
-def write_pattern_files(folder: Path, pattern: Pattern) -> dict:
-    """pattern.json, .svg, .dxf and .png; the pattern's figures."""
+def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) -> dict:
+    """pattern.json, .svg, .dxf and with `picture` .png; the pattern's figures."""
     from voile.post.pattern_dxf import write_dxf
-    from voile.post.pattern_picture import draw_pattern
     from voile.post.pattern_svg import write_svg
     from voile.results import write_pattern
 
     write_pattern(folder, pattern)
     write_svg(folder / "pattern.svg", pattern)
     write_dxf(folder / "pattern.dxf", pattern)
-    draw_pattern(folder / "pattern.png", pattern)
+    if picture:
+        from voile.post.pattern_picture import draw_pattern
+
+        draw_pattern(folder / "pattern.png", pattern)
     return pattern_summary(pattern)
 
 
 def pattern_of_surface(
-    folder: Path, model, shell: Shell, rest: np.ndarray, allowance: float, up: np.ndarray | None
+    folder: Path,
+    model,
+    shell: Shell,
+    rest: np.ndarray,
+    allowance: float,
+    up: np.ndarray | None,
+    picture: bool,
 ) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
-    """The pattern of a rest surface (n, 3) m laid flat with the least distortion: its figures, and its points (p, 2) m
-    with those of each triangle's corners (m, 3). Says why where there is none."""
+    """The pattern of a rest surface (n, 3) m laid flat with the least distortion, drawn where `picture` or it has
+    several pieces: its figures, and its points (p, 2) m with those of each triangle's corners (m, 3). Says why where
+    there is none."""
     try:
         flat = lay_flat(model, shell, rest, apart=False)
         pattern = draw(flat, allowance, up)
         points = np.concatenate([piece.points for piece in pattern.pieces])
-        return write_pattern_files(folder, pattern), points, flat.panels.corners
+        figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)
+        return figures, points, flat.panels.corners
     except (InputError, NotConverged) as reason:
         return {"none": str(reason)}, None, None
