@@ -11,6 +11,7 @@ from voile.errors import InputError
 from voile.post import export, info, quantity, render
 from voile.post.camera import MARGINS, look, parse_scene, upright
 from voile.post.quantities import boundary_edges, hinge_angles, hinges, largest_strain, vertex_curvature
+from voile.post.trade import draw_trade
 from voile.results import ResultWriter, StaticMesh, read_result, write_summary
 
 SCENE = '[scene]\nname = "test strip"\n[loads]\ngravity = [0.0, -9.81, 0.0]\n'
@@ -264,3 +265,15 @@ def test_a_reader_that_has_read_enough_is_no_error():
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         process.stdout.close()
         assert (process.stderr.read(), process.wait()) == ("", 0)
+
+
+def test_trade_is_drawn_with_a_gap_where_no_simulation_settled(tmp_path):
+    from PIL import Image
+
+    steps = [
+        {"share": s, "defect": 0.1 * (1 - s), "sag": sag}
+        for s, sag in ((0.0, 1e-4), (0.5, None), (1.0, 2e-3))
+    ]
+    draw_trade(tmp_path / "trade.png", steps)
+    picture = np.asarray(Image.open(tmp_path / "trade.png").convert("RGB"))
+    assert 0.005 < (picture < 250).any(axis=2).mean() < 0.5

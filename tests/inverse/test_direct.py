@@ -271,4 +271,7 @@ def test_a_pleat_is_refused_where_the_bending_measure_has_no_bound():
 
 
 def test_a_pleat_is_held_where_the_bending_measure_has_a_bound():
-    assert solve(pleated_strip("sin"), method="direct").simulation.sag < 1e-8
+    """Also from beside the target, which does not turn the pleat inside out: it is open by 3 um."""
+    result = solve(pleated_strip("theta"), method="direct")
+    for simulation in (result.simulation, result.disturbed):
+        assert simulation.stable and simulation.settled_sag < 1e-8

@@ -17,7 +17,6 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.scales import force_floor
-from voile.problem.shell import area_vectors
 from voile.solver.newton import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
@@ -258,16 +257,13 @@ class Direct:
 
     def _sharpest_fold(self) -> tuple[float, int]:
         """Largest angle (degrees) between normals of neighbouring triangles at the target, and one of the two."""
-        part, comm = self.problem.part, self.problem.comm
-        normal = area_vectors(self.target.x, part.corners)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-        row, side = np.nonzero(part.across >= 0)
-        cosine = (normal[row] * normal[part.across[row, side] // 3]).sum(axis=1)
-        if not len(row):
-            return comm.allreduce((0.0, -1), op=MPI.MAX)
-        least = int(cosine.argmin())
-        angle = float(np.degrees(np.arccos(np.clip(cosine[least], -1.0, 1.0))))
-        return comm.allreduce((angle, int(part.triangle[row[least]])), op=MPI.MAX)
+        pairs, opening = self.target.folds()
+        found = (0.0, -1)
+        if len(pairs):
+            sharpest = int(opening.argmin())
+            angle = 180.0 - float(np.degrees(opening[sharpest]))
+            found = angle, int(self.problem.part.triangle[pairs[sharpest, 0]])
+        return self.problem.comm.allreduce(found, op=MPI.MAX)
 
     def floor(self) -> float:
         """Round-off of the residual (N): of positions times the stiffness that was linearised last."""

@@ -72,7 +72,7 @@ class InverseResult:
     disturbed: Simulation
     seconds: dict[str, float]
     panels: PanelRest | None = None
-    trade: list[dict[str, float]] | None = None
+    trade: list[dict[str, float | None]] | None = None
     nearest: NearestPath | None = None
     held: Simulation | None = None
     guess: np.ndarray | None = None
@@ -272,9 +272,9 @@ def _make_developable(
     z: PETSc.Vec,
     options: InverseOptions,
     on_iteration: AdjointProgress | None,
-) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float]]]:
+) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float | None]]]:
     """From a rest shape z to a developable one whose simulation is nearest to the target, and the trade between them:
-    largest angle defect (rad) and sag on the straight way from one to the other."""
+    largest angle defect (rad) and sag, None where no simulation settles, on the straight way from one to the other."""
     design = DevelopableRest(target, shell, exempt)
     design.set(z)
     adjoint = minimise(
@@ -292,7 +292,7 @@ def _make_developable(
     for share in TRADE:
         between = z.copy()
         between.axpby(share, 1.0 - share, found)
-        reached = simulate(target, between, options.tolerance).sag
+        reached = simulate(target, between, options.tolerance).settled_sag
         target.rest.set(between)
         trade.append({"share": share, "defect": design.largest_defect(), "sag": reached})
     return found, adjoint, trade

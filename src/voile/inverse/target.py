@@ -20,7 +20,7 @@ from voile.problem.contact import attach
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, area_vectors
 from voile.problem.supports import free_motions, hinged_parts
 from voile.solver.stability import smallest_eigenpair
 
@@ -113,6 +113,17 @@ class Target:
         for touch in self.touches:
             marked[touch.local()] = True
         return marked
+
+    def folds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of neighbouring local triangles (k, 2) and the angle (k,) in radians between them: 0 where one lies on
+        the other, pi where they are level."""
+        part = self.problem.part
+        normal = area_vectors(self.x, part.corners)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        row, side = np.nonzero(part.across >= 0)
+        pairs = np.column_stack([row, part.across[row, side] // 3])
+        half = 0.5 * np.linalg.norm(normal[pairs].sum(axis=1), axis=1)
+        return pairs, 2.0 * np.arcsin(np.minimum(half, 1.0))
 
     def _balance(self) -> Balance:
         """The present loads, at load factor 1."""

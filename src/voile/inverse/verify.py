@@ -9,11 +9,13 @@ from petsc4py import PETSc
 from voile.contact.state import Contact
 from voile.inverse.target import Target
 from voile.problem.rest import PanelRest
+from voile.problem.shell import area_vectors
 from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
 
 DISTURBANCE = 1.0  # thicknesses
 NEARER = 0.1  # of its way to where contact may begin, that a vertex is disturbed at most: no jags there
+CLOSED = 0.1  # rad, opening of a fold that a disturbance might turn inside out
 GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewise: strain
 
 
@@ -79,13 +81,32 @@ def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:
 
 
 def _disturbance(target: Target) -> PETSc.Vec:
-    """A smooth displacement (m) that leaves contacts where they are: a thickness in the largest entry far off them."""
+    """A smooth displacement (m) that leaves contacts where they are and sharp folds closed as they are: a thickness in
+    the largest entry far off them."""
     problem, x = target.problem, target.x
     wave = np.pi * np.array([[3.0, 1.0, 2.0], [1.0, 3.0, 1.0], [2.0, 1.0, 3.0]]) / problem.size()
     reach = np.full(len(x), DISTURBANCE * problem.thickness())
     for obstacle in target.obstacles:
         away = obstacle.gap(x, 0.0) - target.offset - target.tolerance
         reach = np.minimum(reach, NEARER * np.maximum(away, 0.0))
+    reach = np.minimum(reach, NEARER * _from_folds(target))
     if target.layers:
         reach = np.minimum(reach, GENTLE * target.touches[-1].along())
     return target.field_vector(reach[:, None] * np.sin(x @ wave.T))
+
+
+def _from_folds(target: Target) -> np.ndarray:
+    """(local vertices,) distance (m) from the nearest vertex of a nearly closed fold, plus its opening."""
+    corners = target.problem.part.corners
+    pairs, opening = target.folds()
+    closed = opening < CLOSED
+    at, x = corners[pairs[closed]].reshape(-1, 6), target.x
+    area = 0.5 * np.linalg.norm(area_vectors(x, corners[pairs[closed]].reshape(-1, 3)), axis=1)
+    width = np.sqrt(area.reshape(-1, 2).min(axis=1, initial=np.inf))
+    comm = target.problem.comm
+    points = np.concatenate(comm.allgather(x[at].reshape(-1, 3)))
+    gaps = np.concatenate(comm.allgather(np.repeat(opening[closed] * width, 6)))
+    distance = np.full(len(x), np.inf)
+    for point, gap in zip(points, gaps, strict=True):
+        np.minimum(distance, gap + np.linalg.norm(x - point, axis=1), out=distance)
+    return distance

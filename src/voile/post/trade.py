@@ -2,14 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from voile.errors import InputError
 
 INK, LINE = "#1b1f24", "#1f5fa8"
 
 
-def draw_trade(path: str | Path, trade: list[dict[str, float]], width: float = 6.0) -> None:
+def draw_trade(path: str | Path, trade: list[dict[str, float | None]], width: float = 6.0) -> None:
     """Draw the trade as PNG, `width` inches wide; trade: share of the way to the developable rest shape, largest angle
-    defect (rad) there and sag (over the size) of its simulation.
+    defect (rad) there and sag (over the size) of its simulation, None where it has none: a gap.
 
     Raises InputError if the file cannot be written.
     """
@@ -17,16 +19,20 @@ def draw_trade(path: str | Path, trade: list[dict[str, float]], width: float = 6
 
     figure = Figure(figsize=(width, 0.7 * width), layout="constrained")
     axes = figure.subplots()
-    defect, sag = [step["defect"] for step in trade], [100.0 * step["sag"] for step in trade]
+    share, defect, sag = (
+        np.array([step[key] for step in trade], dtype=float) for key in ("share", "defect", "sag")
+    )
+    sag *= 100.0
     axes.plot(defect, sag, "o-", color=LINE)
-    for step, x, y in zip(trade, defect, sag, strict=True):
-        axes.annotate(
-            f"{100.0 * step['share']:g} %", (x, y), (6, 6), textcoords="offset points", color=INK, fontsize=8
-        )
+    for part, x, y in zip(share, defect, sag, strict=True):
+        if np.isfinite(y):
+            axes.annotate(
+                f"{100.0 * part:g} %", (x, y), (6, 6), textcoords="offset points", color=INK, fontsize=8
+            )
     axes.set_xlabel("largest angle defect [rad]")
     axes.set_ylabel("sag [% of the size]")
     axes.set_title(
-        f"the way to a developable rest shape: defect {defect[-1]:.1e} rad, sag {sag[-1]:.2g} %",
+        f"the way to a developable rest shape: defect {defect[-1]:.1e} rad, sag {_percent(sag[-1])}",
         loc="left", fontsize=10, color=INK,
     )  # fmt: skip
     axes.spines[["top", "right"]].set_visible(False)
@@ -35,3 +41,7 @@ def draw_trade(path: str | Path, trade: list[dict[str, float]], width: float = 6
         figure.savefig(path, dpi=160)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _percent(sag: float) -> str:
+    return f"{sag:.2g} %" if np.isfinite(sag) else "unknown"
