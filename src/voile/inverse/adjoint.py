@@ -34,7 +34,6 @@ LAST_RADIUS = 1e-4  # of the first one: no step improves
 SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objective by less than this share
 PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
 REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
-LEAST_AREA = 0.05  # of a rest triangle, over that of the first rest shape
 NEAR = 2.0  # sags of an answer beside the target: a simulation that stays there
 TRIED = 6  # iterates of panels that a simulation from the target does not end in
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
@@ -150,9 +149,10 @@ class Objective:
             if self.at is None:
                 raise
             return False
-        if self.design.area_ratios()[0] <= LEAST_AREA:
+        broken = self.target.bounds.broken(self.design)
+        if broken:
             if self.at is None:
-                raise NotConverged("adjoint method: the rest shape to start from has triangles without area")
+                raise NotConverged(f"adjoint method: where it starts, {broken}")
             return False
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:

@@ -211,9 +211,9 @@ class DevelopableRest:
         out.axpy(-1.0, along)
         return out
 
-    def area_ratios(self) -> tuple[float, float]:
-        """Least and largest area of a rest triangle over that of the target."""
-        return self.rest.area_ratios()
+    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+        """Areas (m,) and edges (m, 3) of rest triangles over those of the target."""
+        return self.rest.ratios()
 
     def weight(self) -> PETSc.Vec:
         """The diagonal metric, of sum 1 in each direction."""

@@ -30,7 +30,6 @@ SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
 ROUND_OFF = 4e-15  # relative, of the residual's evaluation
 FOLDED = 170.0  # degrees, between the normals of triangles, where tan(angle / 2) grows steeply
-AREAS = 0.1, 10.0  # bounds of a rest triangle's area over the target's
 
 
 @dataclass
@@ -171,9 +170,9 @@ class Direct:
             y, norm = self._evaluate(z, f)
             if problem.monitor:
                 problem.monitor(fraction, it, norm)
-            invalid = self.invalid()
-            if invalid:
-                return invalid, norm, it
+            broken = target.bounds.broken(self.rest)
+            if broken:
+                return broken, norm, it
             loads = target.load_norm(y)
             if norm <= max(self.tolerance * loads, noise):
                 return "", norm, it
@@ -277,15 +276,6 @@ class Direct:
         pc.destroy()
         assert count is not None  # a Cholesky factorisation tells
         return count
-
-    def invalid(self) -> str:
-        low, high = self.rest.area_ratios()
-        if not (low >= AREAS[0] and high <= AREAS[1]):
-            return (
-                f"rest triangles would have {low:.2g} to {high:.2g} times the target's area; "
-                f"allowed: {AREAS[0]:g} to {AREAS[1]:g}"
-            )
-        return ""
 
 
 def _lost(fraction: float, critical: float) -> str:

@@ -205,7 +205,7 @@ class Neighbours:
         f, norm = self.problem.create_vector(), math.inf
         for _ in range(RESTORATIONS):
             y = self.go_to(place)
-            if self.direct.invalid():
+            if self.target.bounds.broken(self.target.rest):
                 return False
             self.target.residual(y, f)
             before, norm = norm, f.norm()

@@ -13,6 +13,7 @@ from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
 from voile.inverse.adjoint import NEAR, REASON, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
+from voile.inverse.bounds import area_range
 from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.flatten import FlatPanels
@@ -102,7 +103,9 @@ class InverseResult:
         far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
         settled, beside = self.simulation.path.converged, self.disturbed.path.converged
         settles = "; the simulation from beside it did not settle" if settled and not beside else ""
-        return self._finding() + far + settles
+        said, bounds = self._finding() + far + settles, self.target.bounds
+        exact = self.direct.converged and not (self.panels or self.trade)
+        return said if exact or bounds.last in said else said + bounds.told()
 
     def _finding(self) -> str:
         if not self.simulation.path.converged:
@@ -115,11 +118,8 @@ class InverseResult:
             where = f"{self.simulation.sag:.2g} sizes from the target{leaves}"
             return f"{what} with {kind} equilibrium {where}{self._more()}"
         if self.direct.converged:
-            return (
-                "target in stable equilibrium"
-                if self.stable
-                else f"the target is unstable: {self._unstable()}"
-            )
+            unstable = f"the target is unstable: {self._unstable()}"
+            return "target in stable equilibrium" if self.stable else unstable
         if self.nearest:
             found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
             where = "; a simulation from it leaves it" if self._drifts else leaves
@@ -346,7 +346,6 @@ def inverse_report(result: InverseResult) -> dict:
     """Figures for the summary: see the keys."""
     target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
-    low, high = (result.panels or target.rest).area_ratios()
     rest = problem.motion(result.rest)
     moved = np.linalg.norm(rest, axis=1)
     off = np.zeros(0) if result.guess is None else np.linalg.norm(rest - result.guess, axis=1)
@@ -365,7 +364,8 @@ def inverse_report(result: InverseResult) -> dict:
         "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,
         "rest_displacement": problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX),
         "rest_distance_to_guess": problem.comm.allreduce(float(off.max(initial=0.0)), op=MPI.MAX),
-        "rest_area_ratio": [low, high],
+        "rest_area_ratio": area_range(result.panels or target.rest),
+        "bounds": {"turned_away": target.bounds.breaches, "last": target.bounds.last or None},
         "reactions": _reactions(target),
         **(
             {"developability": result.trade, "largest_defect": result.trade[-1]["defect"]}

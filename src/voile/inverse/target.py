@@ -14,6 +14,7 @@ from voile.contact.pairs import FIRM, FREE, STICK, dot, outer, within
 from voile.contact.self_contact import Layers
 from voile.contact.state import Contact
 from voile.errors import NotConverged
+from voile.inverse.bounds import Bounds
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.inverse.touches import Touch, clearances, find_touches
 from voile.problem.contact import attach
@@ -51,7 +52,7 @@ class Target:
         """layers: the shell's, where they are in each other's way. Raises InputError where they start in the same place
         or through each other, NotConverged where no reactions can hold the target."""
         self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
-        self.layers = layers
+        self.layers, self.bounds = layers, Bounds()
         self.rest = RestShape(problem)
         self.tangent = problem.create_matrix()
         comm = problem.comm

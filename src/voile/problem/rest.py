@@ -4,7 +4,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.discrete import Blocks, Problem
@@ -33,6 +32,12 @@ def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
     unit = normal / np.maximum(size, 1e-300)[:, None]
     opposite = x[:, [2, 0, 1]] - x[:, [1, 2, 0]]
     return 0.5 * size, 0.5 * np.cross(unit[:, None, :], opposite)
+
+
+def rest_edges(part: Part) -> np.ndarray:
+    """(m, 3) lengths of the rest triangles' edges."""
+    x = part.rest_points[part.rest_corners]
+    return np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
 
 
 class RestDerivative:
@@ -103,7 +108,7 @@ class RestShape:
         columns = part.matrix[: 3 * len(part.vertex)].indices
         self.is_vertex[columns[columns < part.owned]] = True
         self.set(zero)
-        self._area0 = rest_areas(part)[0]
+        self._area0, self._edge0 = rest_areas(part)[0], rest_edges(part)
         self._derivative: RestDerivative | None = None
         self._matrix: PETSc.Mat | None = None
         self._assembled = False
@@ -141,11 +146,10 @@ class RestShape:
             local[:, :9] -= np.tile(problem.load_factor * problem.gravity, 3) * share[:, None]
         return problem.gather_triangles(local)
 
-    def area_ratios(self) -> tuple[float, float]:
-        """Least and largest area of a rest triangle over that of the base."""
-        ratio = rest_areas(self.problem.part)[0] / self._area0
-        comm = self.problem.comm
-        return comm.allreduce(float(ratio.min()), op=MPI.MIN), comm.allreduce(float(ratio.max()), op=MPI.MAX)
+    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+        """Areas (m,) and edges (m, 3) of rest triangles over those of the base."""
+        part = self.problem.part
+        return rest_areas(part)[0] / self._area0, rest_edges(part) / self._edge0
 
     # ---- as design variables ----
 
@@ -207,7 +211,7 @@ class PanelRest:
         self.problem, self.base = problem, base
         self._derivative: RestDerivative | None = None
         self.set(self.create())
-        self._area0 = self._signed()
+        self._area0, self._edge0 = self._signed(), rest_edges(problem.part)
 
     def create(self) -> PETSc.Vec:
         """A zero vector of design variables."""
@@ -232,10 +236,9 @@ class PanelRest:
         x = self.problem.part.rest_points[self.problem.part.rest_corners]
         return 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 2]
 
-    def area_ratios(self) -> tuple[float, float]:
-        """Least and largest signed area of a rest triangle over that of the base."""
-        ratio, comm = self._signed() / self._area0, self.problem.comm
-        return comm.allreduce(float(ratio.min()), op=MPI.MIN), comm.allreduce(float(ratio.max()), op=MPI.MAX)
+    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+        """Areas (m,), negative where turned over, and edges (m, 3) of rest triangles over those of the base."""
+        return self._signed() / self._area0, rest_edges(self.problem.part) / self._edge0
 
     def weight(self) -> PETSc.Vec:
         """Their diagonal metric, of sum 1 in each direction."""
