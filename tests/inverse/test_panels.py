@@ -34,17 +34,23 @@ def cone_skirt(around=24, down=8, **more):
     return whole, flat
 
 
+def cone_target(comm, bending="average"):
+    """A cone skirt under its weight as target, and its flat panel (p, 2) m on every rank."""
+    whole, flat = cone_skirt(12, 4, bending=bending, young=1e7)
+    mine = whole if comm.rank == 0 else None
+    target = Target(Problem(mine, comm), mine, [], 0.0, 1e-3)
+    target.load(1.0)
+    return target, flat.coordinates
+
+
 @pytest.mark.parametrize("bending", ["average", "tan"])
 def test_gradient_by_panel_coordinates(bending):
-    whole, flat = cone_skirt(12, 4, bending=bending, young=1e7)
-    problem = Problem(whole, MPI.COMM_SELF)
-    target = Target(problem, whole, [], 0.0, 1e-3)
-    target.load(1.0)
-    panels = PanelRest(problem, flat.coordinates)
+    target, flat = cone_target(MPI.COMM_SELF, bending)
+    panels = PanelRest(target.problem, flat)
     z, direction = panels.create(), panels.create()
     index = np.arange(z.getSize())
     z.array[:], direction.array[:] = 1e-4 * np.sin(index), 1e-4 * np.cos(1.7 * index)
-    objective = Objective(target, panels, panels.create(), problem.create_vector(), 0.1, 1e-10)
+    objective = Objective(target, panels, panels.create(), target.problem.create_vector(), 0.1, 1e-10)
     gradient = z.duplicate()
     value = objective.evaluate(z, gradient)
     slope, left = gradient.dot(direction), []

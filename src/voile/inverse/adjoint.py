@@ -11,7 +11,7 @@ are lost where a step goes too far.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from petsc4py import PETSc
@@ -102,6 +102,13 @@ class Forward:
         self.snes.solve(None, y)
         return self.snes.getConvergedReason() > 0
 
+    def search(self, y: PETSc.Vec) -> bool:
+        """y moves to the equilibrium that statics find from it by all means; False where they do not."""
+        path = solve_statics(self.problem, replace(self.options, load_steps=1), start=y)
+        self.problem.unbase(path.state)
+        path.state.copy(y)
+        return path.converged
+
 
 class Objective:
     """Distance of the simulation from the target as a function of the rest shape, with derivatives, and the Python
@@ -126,7 +133,7 @@ class Objective:
             weight.scale(1.0 / problem.size() ** 2)
         self.tangent = problem.create_matrix()
         self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
-        self.factor, self.accuracy = self.factors[True], accuracy
+        self.factor = self.factors[True]
         self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
         self.start = start.copy()  # of every simulation: see `accept`
         self.began = problem.contact.state.copy() if problem.contact else None
@@ -157,8 +164,10 @@ class Objective:
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:
             contact.state = self.began.copy()
-        if not (self.forward.solve(y) and self._linearise(y)):
-            if self.at is None:
+        first = self.at is None
+        found = self.forward.solve(y) or (first and self.forward.search(self.start.copy(y)))
+        if not (found and self._linearise(y)):
+            if first:
                 raise NotConverged("adjoint method: the first simulation, from the target, did not converge")
             self._linearise(self.state)
             return False
@@ -188,13 +197,12 @@ class Objective:
         self.factor.setOperators(self.tangent)
         self.factor.setUp()
         if not problem.contact and negative_pivots(self.factor):
-            path = solve_statics(problem, StaticsOptions(load_steps=1, tolerance=self.accuracy), start=y)
-            problem.unbase(path.state)
-            if not path.stable:
+            if not self.forward.search(y):
                 return False
-            path.state.copy(y)
             problem.tangent(y, self.tangent)
             self.factor.setUp()
+            if negative_pivots(self.factor):
+                return False
         self.design.linearise(y)
         return True
 
