@@ -94,6 +94,20 @@ def test_modulus_and_rest_shape_come_from_two_scenes(hanging):
     np.testing.assert_allclose(rest, hanging_sheet().points, atol=1e-7)
 
 
+def test_scenes_of_another_fabric_are_told_of(hanging):
+    text = (hanging / "second.toml").read_text().replace("density = 300.0", "density = 310.0")
+    (hanging / "second.toml").write_text(text.replace(f"young = {2 * YOUNG}", "young = 1e6"))  # a guess
+    write(
+        hanging, "scene.toml", "hangs.obj", more='[inverse]\nestimate = ["young"]\nalso = ["second.toml"]\n'
+    )
+    code, said = run(hanging)
+    assert code == 0, said
+    (note,) = json.loads((hanging / "out" / "summary.json").read_text())["notes"]
+    assert note.endswith(
+        "second.toml: shell.density = 310.0 there, 300.0 here: another fabric, taken as given"
+    )
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [

@@ -11,6 +11,8 @@ from voile.tasks.common import on_root, rows, summarise, versions
 from voile.tasks.progress import Progress
 from voile.wiring import build_model, static_mesh
 
+FABRIC = "model", "bending", "material", "young", "poisson", "thickness", "density"
+
 
 def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
     """As `run_statics` for the parameters of a shell, from the scene's observation and those of inverse.also."""
@@ -88,7 +90,18 @@ def _further(scene, model) -> list[tuple]:
             triangles.shape == model.shell.triangles.shape and (triangles == model.shell.triangles).all()
         ):
             raise InputError(f"{path}: shell.mesh: allowed without shell.rest: the triangles of {scene.path}")
+        model.notes += _another_fabric(scene, other)
     return found
+
+
+def _another_fabric(scene, other) -> list[str]:
+    """Notes on what another scene knows differently of the shell."""
+    known = {key: (getattr(scene.shell, key), getattr(other.shell, key)) for key in FABRIC}
+    return [
+        f"inverse.also: {other.path}: shell.{key} = {there} there, {here} here: another fabric, taken as given"
+        for key, (here, there) in known.items()
+        if key not in scene.inverse.estimate and here != there
+    ]
 
 
 def _check_start(scene) -> None:
