@@ -13,7 +13,7 @@ if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.
     os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
     os.environ.setdefault("OMPI_MCA_pml", "ob1")
 
-from voile.errors import InputError, NotConverged
+from voile.errors import InputError, NotConverged, on_root
 
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
@@ -202,7 +202,8 @@ def _run(args: argparse.Namespace) -> int:
     from voile.tasks import Progress, run_inverse, run_statics, summarise_refusal
 
     comm = MPI.COMM_WORLD
-    scene, model = _collective(comm, lambda: _load(args))
+    scene, model = on_root(comm, lambda: _load(args)) or (None, None)
+    scene = comm.bcast(scene)
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
@@ -223,21 +224,6 @@ def _load(args: argparse.Namespace):
 
     scene = _read(args)
     return scene, build_model(scene)
-
-
-def _collective(comm, action):
-    """Runs on rank 0; every rank gets the scene, rank 0 the model too, or all of them the error."""
-    outcome = error = None
-    if comm.rank == 0:
-        try:
-            outcome = action()
-        except Exception as caught:
-            error = caught
-    error = comm.bcast(error)
-    if error is not None:
-        raise error
-    scene = comm.bcast(outcome[0] if outcome else None)
-    return scene, outcome[1] if outcome else None
 
 
 if __name__ == "__main__":

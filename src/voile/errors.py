@@ -1,4 +1,11 @@
-"""The two ways a run fails, and the exit code of each (see interface: 2 bad input, 3 not converged)."""
+"""The two ways a run fails, the exit code of each (see interface: 2 bad input, 3 not converged), and how what fails on
+one rank ends all of them."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 class InputError(ValueError):
@@ -11,3 +18,17 @@ class NotConverged(RuntimeError):
     """A solver did not converge; the message says which quantity missed which tolerance."""
 
     exit_code = 3
+
+
+def on_root(comm: "MPI.Comm", action: Callable[[], Any]) -> Any:
+    """What an action gives on rank 0, None elsewhere; its error on all ranks, so that none waits for another."""
+    outcome = failure = None
+    if comm.rank == 0:
+        try:
+            outcome = action()
+        except Exception as caught:
+            failure = caught
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+    return outcome

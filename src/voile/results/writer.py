@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.errors import InputError
+from voile.errors import InputError, on_root
 from voile.results.fields import CELL_FIELDS, EDGE_ANGLES, FORMAT_VERSION, PLACEMENT, POINT_FIELDS, Field
 from voile.results.slabs import Slabs
 from voile.results.static import OBSTACLES, StaticMesh, known, static_datasets
@@ -59,7 +59,7 @@ def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
                 f"{directory}: cannot write results there ({why}); a writable directory expected"
             ) from None
 
-    _on_root(comm, probe)
+    on_root(comm, probe)
     return directory
 
 
@@ -176,7 +176,7 @@ class ResultWriter:
         stepped = stepped | {path: _Stepped(1, spec) for path, (_, spec) in single.items()}
         if not self._stepped:
             self._stepped = stepped
-            _on_root(self.comm, lambda: self._create(self._part, self._capacity, self._static))
+            on_root(self.comm, lambda: self._create(self._part, self._capacity, self._static))
             self._static = {}
             self._reopen(self._part)
         elif stepped != self._stepped:
@@ -215,7 +215,7 @@ class ResultWriter:
                 self._file[VALUES][self.steps - 1] = value
             self._file.flush()
         if self.steps == 1:
-            _on_root(self.comm, self._publish)
+            on_root(self.comm, self._publish)
 
     def _publish(self) -> None:
         for old in (self.path, self.path.with_name("summary.json")):
@@ -243,7 +243,7 @@ class ResultWriter:
                     new[VALUES][:] = old[OWN_VALUES][: self.steps]
             os.replace(self._part, self.path)
 
-        _on_root(self.comm, copy)
+        on_root(self.comm, copy)
         self._capacity = capacity
         self._reopen(self.path)
 
@@ -313,16 +313,3 @@ def _copy_rows(old: Any, new: Any, count: int) -> None:
     for begin in range(0, count, piece):
         end = min(begin + piece, count)
         new[begin:end] = old[begin:end]
-
-
-def _on_root(comm: MPI.Comm, action: Any) -> None:
-    """Run `action` on rank 0 and raise what it raised on every rank, so that none waits for another."""
-    error = None
-    if comm.rank == 0:
-        try:
-            action()
-        except Exception as caught:
-            error = caught
-    error = comm.bcast(error)
-    if error is not None:
-        raise error

@@ -44,20 +44,6 @@ def find_layers(scene, model, shell, comm):
     return comm.bcast(layers)
 
 
-def on_root(comm, action):
-    """What an action gives on rank 0, None elsewhere; its error on all ranks."""
-    outcome = failure = None
-    if comm.rank == 0:
-        try:
-            outcome = action()
-        except Exception as caught:
-            failure = caught
-    failure = comm.bcast(failure)
-    if failure is not None:
-        raise failure
-    return outcome
-
-
 def summarise(
     scene,
     model,

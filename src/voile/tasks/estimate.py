@@ -3,11 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from voile.errors import InputError
+from voile.errors import InputError, on_root
 from voile.mesh import METRES, read_rest, write_obj
 from voile.results import ResultWriter
 from voile.scene import read_scene, unsupported
-from voile.tasks.common import on_root, rows, summarise, versions
+from voile.tasks.common import rows, summarise, versions
 from voile.tasks.progress import Progress
 from voile.wiring import build_model, static_mesh
 

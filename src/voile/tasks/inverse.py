@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.errors import on_root
 from voile.inverse.pattern import write_rest_obj
 from voile.mesh import METRES, write_obj
 from voile.problem.partition import gathered
 from voile.results import ResultWriter, StaticMesh
-from voile.tasks.common import find_layers, on_root, rows, summarise, versions
+from voile.tasks.common import find_layers, rows, summarise, versions
 from voile.tasks.estimate import run_estimation
 from voile.tasks.patterns import (
     cut_apart,
