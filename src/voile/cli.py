@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--field",
         default="strain",
-        help="colours: displacement, strain, curvature or a stored field (contact, gap, reaction)",
+        help="colours: displacement, strain, curvature or a stored field (contact, gap, margin, reaction)",
     )
     sub.add_argument("--step", type=int, default=-1)
     sub.add_argument(

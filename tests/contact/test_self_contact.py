@@ -192,8 +192,9 @@ def test_a_patch_sticks_to_another_on_an_incline(angle):
     """At mu = 1.001 tan(angle) nothing drifts."""
     path, problem, above = stack(1.001 * np.tan(np.radians(angle)), np.radians(angle))
     assert path.converged
-    report = contact_report(problem, path.state)
+    report, fields = contact_report(problem, path.state), contact_fields(problem, path.state)
     assert report["stick"] > above.sum() and report["friction_error"] < 1e-8
+    assert fields["margin"].min() >= 0.0 and fields["margin"][above].max() < 1.0
     assert np.abs(problem.motion(path.state)).max() < 1e-12
 
 
@@ -211,7 +212,13 @@ def test_friction_of_a_dragged_patch():
     path, problem, above = stack(friction, size=0.25, drag=-0.1)
     assert path.converged
     weight = GRAVITY * DENSITY * 1e-3 * 0.36
-    force = contact_fields(problem, path.state)["reaction"][above].sum(axis=0)
+    fields = contact_fields(problem, path.state)
+    force = fields["reaction"][above].sum(axis=0)
+    bears = above & (fields["contact"] > 0)
+    assert np.abs(fields["margin"][bears]).max() < 1e-6 and (fields["friction"][bears] == friction).all()
+    assert fields["normal_reaction"][above].sum(axis=0) == pytest.approx(
+        [0.0, 0.0, weight], abs=1e-8 * weight
+    )
     assert force[2] == pytest.approx(weight, rel=1e-8)
     assert force[0] == pytest.approx(friction * weight, rel=1e-6)
 

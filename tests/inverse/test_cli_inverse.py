@@ -81,7 +81,17 @@ def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
     with read_result(on_a_rod / "out") as result:
         np.testing.assert_array_equal(result.points(0), target)
         np.testing.assert_allclose(result.rest, rest, atol=1e-15)
-        weight = result.field("reaction", 0)[:, 2].sum()
+        reaction, normal, friction, margin = (
+            result.field(name, 0) for name in ("reaction", "normal_reaction", "friction", "margin")
+        )
+        weight = reaction[:, 2].sum()
+    bears = np.linalg.norm(normal, axis=1) > 0.0
+    assert (friction == 0.5 * bears).all() and (margin[~bears] == 1.0).all()
+    tangential, size = np.linalg.norm(reaction - normal, axis=1), np.linalg.norm(normal, axis=1)
+    np.testing.assert_allclose(margin[bears], 1.0 - (tangential / (0.5 * size))[bears], atol=1e-9)
+    axis = normal[bears] / size[bears, None]  # radial
+    np.testing.assert_allclose(np.cross(axis, target[bears] * [1.0, 1.0, 0.0]), 0.0, atol=1e-9)
+    assert margin.min() == pytest.approx(found["reactions"]["least_margin"], rel=1e-12)
     assert weight == pytest.approx(found["reactions"]["force"][2], rel=1e-12)
     # the program's own statics with the rest shape found stays at the target
     (on_a_rod / "scene.toml").write_text(

@@ -99,6 +99,14 @@ def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v - dot(normal, v)[:, None] * normal
 
 
+def margin(normal: np.ndarray, tangential: np.ndarray, friction: float | np.ndarray) -> np.ndarray:
+    """(p,) share of friction's bound that reactions, normal (p,) and tangential (p, 3) N, leave: 1 where nothing bears,
+    0 where it slips, as all does that bears without friction."""
+    bound, size = friction * normal, np.linalg.norm(tangential, axis=1)
+    used = np.divide(size, bound, out=np.ones(len(size)), where=bound > 0.0)
+    return np.where(normal > 0.0, 1.0 - used, 1.0)
+
+
 def barrier(gap: np.ndarray, thickness: float | np.ndarray) -> np.ndarray:
     """(3, p) potential (m^2), push (m) and stiffness, each times N/m, that keep layers from meeting: of the gap (p,)
     between surfaces `thickness` (m, one or (p,)) from it, b = -gap^2 ln(1 + gap / thickness) where gap < 0 (Li et al.

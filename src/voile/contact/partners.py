@@ -69,6 +69,8 @@ class OnObstacle:
         """(n,) gap (m) of each vertex."""
         return self.gaps(x, factor, state)
 
-    def touching(self, vertex: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Local vertices of contacts."""
-        return vertex[:, 0]
+    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""
+        least = np.full(len(self.free), np.inf)
+        np.minimum.at(least, vertex[:, 0], values)
+        return least

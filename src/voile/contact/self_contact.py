@@ -281,11 +281,12 @@ class OnItself:
         np.minimum.at(least, state.candidates.vertex, gap[:, None])
         return least[self.here]
 
-    def touching(self, vertex: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Local vertices of contacts that carry a share of them."""
-        marked = np.zeros(len(self.free), dtype=bool)
-        marked[vertex[weight != 0.0]] = True
-        return np.flatnonzero(marked[self.here])
+    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(local vertices,) the least of the values (p,) of the contacts that a vertex carries a share of, infinite
+        without any."""
+        least, carries = np.full(len(self.free), np.inf), weight != 0.0
+        np.minimum.at(least, vertex[carries], np.repeat(values, carries.sum(axis=1)))
+        return least[self.here]
 
 
 def closest(candidates: Candidates, x: np.ndarray) -> Closest:

@@ -10,14 +10,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import FIRM, FREE, STICK, dot, outer, within
+from voile.contact.pairs import FIRM, FREE, STICK, dot, margin, outer, within
 from voile.contact.self_contact import Layers
 from voile.contact.state import Contact
 from voile.errors import NotConverged
 from voile.inverse.bounds import Bounds
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.inverse.touches import Touch, clearances, find_touches
-from voile.problem.contact import attach
+from voile.problem.contact import attach, cone_fields
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
@@ -96,9 +96,9 @@ class Target:
         """(c, 3, ...) of a field (local vertices, 3, ...) at all contacts."""
         return self._gather(lambda touch: touch.relative(field), *field.shape[1:])
 
-    def _spread(self) -> np.ndarray:
-        """(local vertices, 3) forces of the reactions (N)."""
-        return sum((t.spread(self.reactions[rows]) for t, rows in self._rows()), np.zeros_like(self.x))
+    def _spread(self, reactions: np.ndarray) -> np.ndarray:
+        """(local vertices, 3) forces of reactions (c, 3) N."""
+        return sum((t.spread(reactions[rows]) for t, rows in self._rows()), np.zeros_like(self.x))
 
     def _rigid(self, touch: Touch) -> bool:
         """Whether it is with an obstacle."""
@@ -112,7 +112,7 @@ class Target:
         """(n,) local vertices that touch."""
         marked = np.zeros(len(self.x), dtype=bool)
         for touch in self.touches:
-            marked[touch.local()] = True
+            marked |= np.isfinite(touch.least(np.zeros(len(touch))))
         return marked
 
     def folds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -216,7 +216,7 @@ class Target:
 
     def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
         """Balance of forces at y with the present rest shape and reactions (N)."""
-        self.problem.residual(y, f, self._spread())
+        self.problem.residual(y, f, self._spread(self.reactions))
         f.array[self._mine() - self.problem.part.first_global] = 0.0
 
     def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat) -> None:
@@ -241,25 +241,29 @@ class Target:
         return size > TINY * largest
 
     def margins(self) -> tuple[np.ndarray, np.ndarray]:
-        """(c,) normal reactions (N) and margins to slip: 1 - |r_T| / (mu r_N), 1 where nothing bears."""
+        """(c,) normal reactions (N) and margins to slip."""
         normal = dot(self.reactions, self.cones.normal)
-        tangential = np.linalg.norm(within(self.cones.normal, self.reactions), axis=1)
-        bound = self.cones.friction * normal
-        share = np.divide(tangential, bound, out=np.zeros_like(bound), where=bound > 0.0)
-        return normal, 1.0 - share
+        return normal, margin(normal, within(self.cones.normal, self.reactions), self.cones.friction)
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Of the target at the local vertices: reaction (n, 3) N, gap (n,) m, contact (n,): 1 where it bears."""
+        """Of the target at the local vertices as `contact_fields` of a state; gaps of what touches are 0."""
         if not self.touches:
             return {}
-        reaction, gap = self._spread(), np.full(len(self.x), np.inf)
+        reaction, gap = self._spread(self.reactions), np.full(len(self.x), np.inf)
         if self.layers:
             gap[:] = self.layers.thickness  # the reach of a simulation's search for layers
         for obstacle in self.obstacles:
             gap = np.minimum(gap, obstacle.gap(self.x, 0.0) - self.offset)
         gap[self.touching()] = 0.0  # as recorded
         state = np.where(np.linalg.norm(reaction, axis=1) > 0.0, STICK, FREE).astype(np.uint8)
-        return {"reaction": reaction, "gap": gap, "contact": state}
+        normal, left = self.margins()
+        along = self._spread(normal[:, None] * self.cones.normal)
+        least, friction = np.ones(len(self.x)), np.full(len(self.x), np.inf)
+        for touch, rows in self._rows():
+            bears = np.where(normal[rows] > 0.0, self.cones.friction[rows], np.inf)
+            least = np.minimum(least, touch.least(left[rows]))
+            friction = np.minimum(friction, touch.least(bears))
+        return cone_fields(reaction, gap, state, along, friction, least)
 
     # ---- the problem at the target ----
 

@@ -53,9 +53,9 @@ class Touch:
         vertex = self.geometry.vertex
         return vertex[:, 0] if vertex.shape[1] == 1 else vertex
 
-    def local(self) -> np.ndarray:
-        """Local vertices that touch."""
-        return self.partner.touching(self.geometry.vertex, self.geometry.weight)
+    def least(self, values: np.ndarray) -> np.ndarray:
+        """(local vertices,) the least of the values (c,) of a vertex's contacts, infinite without any."""
+        return self.partner.least(self.geometry.vertex, self.geometry.weight, values)
 
     def along(self) -> np.ndarray:
         """(local vertices,) distance (m) along edges from the nearest contact between layers."""

@@ -1,6 +1,7 @@
 """Obstacles in a distributed problem: how they come in, and what their contact is afterwards."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -97,19 +98,36 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItsel
 
 
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
-    """reaction (local vertices, 3) N on the shell, gap (local vertices,) m to the nearest obstacle or layer, where one
-    is near, contact (local vertices,): 0 free, 1 stick, 2 slip."""
+    """At the local vertices: reaction (n, 3) N on the shell, gap (n,) m to the nearest obstacle or layer, where one is
+    near, contact (n,): 0 free, 1 stick, 2 slip; and of Coulomb's cone: normal_reaction (n, 3) N along its axis,
+    friction (n,) its coefficient, 0 where nothing bears, margin (n,) the share of friction's bound that is left."""
     contact, x, factor = contact_of(problem), problem.positions(y), problem.load_factor
-    found = contact.pairs(x, factor)
+    n, along = len(x), np.zeros_like(x)
+    state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
+    for pairs in contact.pairs(x, factor):
+        bears = pairs.lam_n > 0.0
+        kind = np.where(contact.slips(pairs), SLIP, STICK)
+        state = np.maximum(state, -contact.least(pairs, bears, -kind))
+        friction = np.minimum(friction, contact.least(pairs, bears, np.full(len(bears), pairs.friction)))
+        left = np.minimum(left, contact.least(pairs, bears, contact.margin(pairs)))
+        normal, tangential = contact.project(pairs)
+        contact.collect(pairs, partial(pairs.spread, normal, 0.0 * tangential), along)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
-    state = np.full(len(x), FREE, dtype=np.uint8)
-    for pairs in found:
-        active = pairs.lam_n > 0.0
-        slips = contact.slips(pairs)
-        for chosen, name in ((active & ~slips, STICK), (active & slips, SLIP)):
-            touching = contact.touching(pairs, chosen)
-            state[touching] = np.maximum(state[touching], name)
-    return {"reaction": contact.force(x, factor, frozen=False), "gap": np.min(gaps, axis=0), "contact": state}
+    return cone_fields(
+        contact.force(x, factor, frozen=False), np.min(gaps, axis=0), state, along, friction, left
+    )
+
+
+def cone_fields(reaction, gap, state, along, friction, margin) -> dict[str, np.ndarray]:
+    """The fields of `contact_fields`; friction is infinite where nothing bears."""
+    return {
+        "reaction": reaction,
+        "gap": gap,
+        "contact": state.astype(np.uint8),
+        "normal_reaction": along,
+        "friction": np.where(np.isfinite(friction), friction, 0.0),
+        "margin": margin,
+    }
 
 
 def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
