@@ -114,7 +114,7 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     assert dataclasses.astuple(scene.dynamics) == ("implicit-euler", 0.01, 1.0)
     assert dataclasses.astuple(scene.inverse) == (
         *(True, "adjoint", 0.0, 0.001, False, (), None, ()),
-        *(0.0, 1e-3, 20, 1e-8),
+        *((), 0.0, 1e-3, 20, 1e-8),
     )
     assert scene.output.every == 1
 

@@ -11,7 +11,7 @@ from voile.contact.obstacles import Motion, Obstacle
 from voile.contact.surfaces import surface
 from voile.elastic import model_name
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, read_body, read_mesh, read_rest, select
+from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_body, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
@@ -35,6 +35,7 @@ class Model:
     notes: list[str]
     obstacles: list[Obstacle]
     offset: float  # m, from the mid-surface to the surface that touches
+    cuts: np.ndarray  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
 
 
 def build_model(scene: Scene) -> Model:
@@ -85,7 +86,8 @@ def build_model(scene: Scene) -> Model:
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
     if not bodies or (scene.scene.task == "statics" and not _pressed(shell, bodies)):
         check_supports(shell)
-    return Model(shell, surface, rest, notes, bodies, offset)
+    cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
+    return Model(shell, surface, rest, notes, bodies, offset, cuts)
 
 
 def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:

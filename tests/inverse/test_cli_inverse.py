@@ -13,7 +13,7 @@ from test_panels import cone_skirt
 from voile.cli import main
 from voile.inverse import solve
 from voile.mesh import Stitches, read_mesh, write_obj
-from voile.results import read_result
+from voile.results import read_pattern, read_result
 
 ROD = """
 [[obstacle]]
@@ -249,6 +249,35 @@ def test_panels_are_cut_sewn_and_draped_again(tmp_path):
     sewn = read_mesh(out / "rest.obj")
     assert sewn.stitches is not None and sewn.texture is not None
     assert np.linalg.norm(draped_from_pattern(tmp_path) - sewn.points, axis=1).max() < 0.01 * height
+
+
+def test_given_seams_and_a_dart_make_the_panels(tmp_path):
+    """A cone skirt of 24 by 8 cells cut along two rulings, a dart halfway up between them."""
+    hanging_cone(tmp_path, inverse="seams = [[0, 192], [12, 204], [198, 102]]")
+    code, said = run(tmp_path)
+    assert code == 0, said
+    panels, cut = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]["pattern"], []
+    assert len(panels["panels"]) == 2 and panels["distortion"] < 0.01
+    pattern = read_pattern(tmp_path / "out")
+    for seam in pattern.seams:
+        length, pieces = seam.lengths[0], set(seam.pieces)
+        cut.append((len(pieces), round(length / 0.2163, 2)))  # over the slant height
+    assert sorted(cut) == [(1, 0.5), (2, 1.0), (2, 1.0)]
+    assert (tmp_path / "out" / "pattern.png").is_file()
+
+
+@pytest.mark.parametrize(
+    "seams, said",
+    [
+        ("[[0, 999]]", "inverse.seams.0: vertex 999, allowed: 0 to 215"),
+        ("[[0, 192], [5, 5]]", "inverse.seams.1: no way over inner edges leads from vertex 5 to 5"),
+        ("[[0]]", "has length 1; allowed"),
+    ],
+)
+def test_seams_that_are_none_are_refused(tmp_path, seams, said):
+    hanging_cone(tmp_path, inverse=f"seams = {seams}")
+    code, answer = run(tmp_path)
+    assert code == 2 and said in answer and answer.count("voile:") == 1
 
 
 def test_a_developable_rest_shape_flattens_exactly(tmp_path):

@@ -1,8 +1,8 @@
-"""Triangle meshes: reading, checks, rest shapes, seams, selections, topology, patterns. Lengths are in metres."""
+"""Triangle meshes: reading, checks, rest shapes, seams, selections, lines, topology, patterns. Lengths in metres."""
 
 from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
-from voile.mesh.select import select
+from voile.mesh.select import inner_lines, select
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
 from voile.mesh.topology import Topology, boundary_loops, build_topology
@@ -19,6 +19,7 @@ __all__ = [
     "Topology",
     "boundary_loops",
     "build_topology",
+    "inner_lines",
     "read_body",
     "read_mesh",
     "read_rest",

@@ -1,12 +1,16 @@
-"""Selections of vertices, the `select = { ... }` tables of a scene."""
+"""Selections of vertices, the `select = { ... }` tables of a scene, and lines of edges."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 from voile.errors import InputError
 from voile.mesh.surface import Surface
+from voile.mesh.topology import Topology
 
 
 def select(
@@ -48,8 +52,37 @@ def _integers(value: Any, where: str) -> np.ndarray:
     return np.array(values, dtype=np.int64)
 
 
+def inner_lines(
+    surface: Surface, topology: Topology, lines: Sequence[Sequence[int]], where: str
+) -> np.ndarray:
+    """(k, 2) vertices of the edges along lines, each through vertices of the input file (from 0) on the shortest ways
+    over edges inside the surface. Raises InputError that names `where` (the key in the scene)."""
+    inner = np.delete(topology.edges, topology.boundary_edges, axis=0)
+    length = np.linalg.norm(np.diff(surface.points[inner], axis=1)[:, 0], axis=1)
+    graph = sparse.csr_matrix((length, inner.T), shape=(len(surface.points),) * 2)
+    edges: list[tuple[int, int]] = []
+    for k, line in enumerate(lines):
+        vertices = _places(surface, np.array(line, dtype=np.int64), f"{where}.{k}")
+        for start, end in pairwise(vertices.tolist()):
+            before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)[1]
+            if start == end or before[end] < 0:
+                one, other = surface.input_vertex[[start, end]]
+                raise InputError(
+                    f"{where}.{k}: no way over inner edges leads from vertex {one} to {other} of {surface.source}; "
+                    "allowed: lines inside one piece"
+                )
+            while end != start:
+                edges.append((int(before[end]), end))
+                end = int(before[end])
+    return np.array(edges, dtype=np.int64).reshape(-1, 2)
+
+
 def _nodes(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
-    nodes = _integers(value, where)
+    return _mask(surface, _places(surface, _integers(value, where), where))
+
+
+def _places(surface: Surface, nodes: np.ndarray, where: str) -> np.ndarray:
+    """The surface's vertices that are `nodes` of its file."""
     outside = nodes[(nodes < 0) | (nodes >= surface.input_vertices)]
     if len(outside):
         raise InputError(
@@ -61,7 +94,7 @@ def _nodes(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str
         raise InputError(
             f"{where}: vertex {dropped[0]} of {surface.source} belongs to no triangle and was dropped"
         )
-    return _mask(surface, place)
+    return place
 
 
 def _group(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:

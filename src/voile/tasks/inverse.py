@@ -152,7 +152,7 @@ def _guess(scene, model) -> np.ndarray | None:
 
 
 def _borders(model) -> np.ndarray | None:
-    """Vertices where groups meet: seams, which may have an angle defect."""
+    """Vertices where groups meet and on the scene's seams, which may have an angle defect."""
     if model is None:
         return None
     surface = model.surface
@@ -160,7 +160,7 @@ def _borders(model) -> np.ndarray | None:
     for corner in surface.triangles.T:
         np.minimum.at(lowest, corner, surface.group)
         np.maximum.at(highest, corner, surface.group)
-    return np.flatnonzero(lowest < highest)
+    return np.union1d(np.flatnonzero(lowest < highest), model.cuts)
 
 
 def _standing(flat) -> np.ndarray | None:

@@ -17,14 +17,15 @@ from voile.problem.shell import Shell
 
 def lay_flat(model, shell: Shell, points: np.ndarray, apart: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
-    several, cut open to discs, with the mesh's stitches as seams. apart: panels that overlap themselves in the plane
-    are cut further. Raises InputError or NotConverged where a panel cannot be laid flat."""
+    several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. apart: panels that
+    overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot be laid
+    flat."""
     surface = model.surface
     groups = (surface.group, surface.group_names) if len(surface.group_names) > 1 else None
     if apart:
-        flat = flatten_apart(shell.triangles, points, groups, cut_open=True)
+        flat = flatten_apart(shell.triangles, points, groups, model.cuts, cut_open=True)
     else:
-        flat = flatten(split(shell.triangles, points, groups, cut_open=True))
+        flat = flatten(split(shell.triangles, points, groups, model.cuts, cut_open=True))
     if surface.stitches is None:
         return flat
     return replace(flat, panels=add_stitches(flat.panels, surface.stitches))

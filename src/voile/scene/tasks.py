@@ -1,0 +1,103 @@
+"""Keys of a scene that belong to a task: statics, dynamics, inverse design, and what is written."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from voile.scene.kinds import Array, Boolean, Choice, File, Integer, Number
+from voile.scene.table import key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statics:
+    load_steps: int | None = key(
+        Integer(1),
+        "first load step is 1/load_steps; adaptive from there; default: 10, or 1 where nothing holds the shell and no "
+        "obstacle moves",
+        default=None,
+    )
+    max_steps: int = key(Integer(1), "load steps tried in all", default=1000)
+    perturbation: float = key(Number(least=0), "off unstable branches, in thicknesses", default=1.0)
+    tolerance: float = key(
+        Number(above=0, below=1), "norm of the residual over the norm of the load", default=1e-8
+    )
+    stability: bool = key(Boolean(), "test whether the end state is stable", default=True)
+    eigenvalue: bool = key(Boolean(), "also its smallest eigenvalue", default=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dynamics:
+    scheme: str = key(
+        Choice("implicit-euler", "bdf2", "generalized-alpha", "projective"),
+        "time scheme",
+        default="implicit-euler",
+    )
+    time_step: float = key(Number("s", above=0), "time step", default=0.01)
+    duration: float = key(Number("s", above=0), "simulated time", default=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse:
+    friction: bool = key(
+        Boolean(), "reactions in the Coulomb cones; false: along the normal only", default=True
+    )
+    method: str = key(
+        Choice("adjoint", "direct", "tao"),
+        "direct; adjoint: goes on to the nearest stable shape where the target is not stable; tao: does so in TAO",
+        default="adjoint",
+    )
+    margin: float = key(
+        Number(least=0),
+        "adjoint: smallest eigenvalue asked for of that shape, over the weight's rate g/L (more is further from the "
+        "target and withstands more); 0: the least, half by half, at which simulations from the target end",
+        default=0.0,
+    )
+    contact_tolerance: float = key(
+        Number("m", above=0),
+        "target vertices nearer than this to an obstacle, and layers to touching, may carry a reaction",
+        default=0.001,
+    )
+    developable: bool | str = key(
+        Choice(False, "constraint", "panels"), "whether and how the rest shape is developable", default=False
+    )
+    estimate: tuple[str, ...] = key(
+        Array(Choice("thickness", "young", "poisson", "density", "friction")),
+        "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
+        default=(),
+    )
+    observed: Path | None = key(
+        File(),
+        "estimate: the observed equilibrium, where the mesh is the shape from which the shell got there, over "
+        "statics.load_steps; default: the mesh",
+        default=None,
+    )
+    also: tuple[Path, ...] = key(
+        Array(File()),
+        "estimate: scenes with further observations of the same fabric; without shell.rest they, of the same "
+        "triangles, give the parameters, and this one, without contact, the rest shape",
+        default=(),
+    )
+    seams: tuple[tuple[int, ...], ...] = key(
+        Array(Array(Integer(), least=2)),
+        "lines along which the surface is cut into panels, beside the borders of groups: each runs through these "
+        "vertices (indices in the mesh file, from 0), along the shortest ways over edges",
+        default=(),
+    )
+    seam_allowance: float = key(
+        Number("m", least=0), "pattern: distance of the cut line from the sew line", default=0.0
+    )
+    regularisation: float = key(
+        Number(least=0),
+        "in TAO: weight of the rest shape's change beside that of the distance to the target",
+        default=1e-3,
+    )
+    iterations: int = key(Integer(1), "in TAO: of the optimisation at most", default=20)
+    tolerance: float = key(
+        Number(above=0, below=1),
+        "norm of the residual over the norm of the load, of the simulations that prove the rest shape",
+        default=1e-8,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    every: int = key(Integer(1), "write every so many steps; the last one always", default=1)
