@@ -155,13 +155,14 @@ class Nearest:
     # ---- the path ----
 
     def advance(
-        self, place: Place, fraction: float, margin: float, exact: float = EXACT
+        self, place: Place, fraction: float, margin: float, exact: float = FINE
     ) -> tuple[Place, bool]:
         """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
         there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
         those win little; less, where the next step of the way fails, and no more than a share `exact` at its end, where
         the sag is more than slight and so many steps are left."""
-        way, pace = (fraction - place.fraction, margin - place.margin), Pace()
+        way = (fraction - place.fraction, margin - place.margin)
+        pace = Pace() if any(way) else Pace(left=0.0, moving=False)
         while self.budget:
             self.budget -= 1
             if pace.at_end:
@@ -267,29 +268,36 @@ class Nearest:
         if not (self.beside.linearise(place) and self.beside.settle(place)):
             return place, False
         # the way is easier away from the loss of stability
-        place, _ = self.advance(place, place.fraction, margin, FINE)
+        place, _ = self.advance(place, place.fraction, margin)
         place, reached = self.advance(place, 1.0, place.margin)
         while self.budget and not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow:
             place.margin *= 0.5
             place, reached = self.advance(place, 1.0, place.margin)
         return place, reached
 
-    def confirm(self, place: Place, stays: Stays) -> NearestPath:
+    def confirm(self, first: Place, stays: Stays) -> Place:
         """The place of least margin, half by half, that stays, or the first firmer one; this one where none does."""
-        first = found = self.outcome(place)
-        factors, firm = (LESS, True) if stays(found.rest, found.sag) else (MORE, False)
-        for factor in factors:
-            if firm and found.sag <= SLIGHT:
+
+        def firm(place: Place) -> bool:
+            return stays(place.z, self._sag(place))
+
+        found, holds = first, firm(first)
+        for factor in LESS if holds else MORE:
+            if holds and self._sag(found) <= SLIGHT:
                 break
             self.budget = EXTRA
-            place, reached = self.advance(place, 1.0, factor * place.margin)
+            trial, reached = self.advance(found, 1.0, factor * found.margin)
             if not reached:
                 break
-            trial = self.outcome(place)
-            if stays(trial.rest, trial.sag) != firm:
-                return found if firm else trial
+            if firm(trial) != holds:
+                return found if holds else trial
             found = trial
-        return found if firm else first
+        return found if holds else first
+
+    def settled(self, place: Place) -> Place:
+        """The nearest place with the same margin, as near as steps bring there."""
+        self.budget = EXTRA
+        return self.advance(place, 1.0, place.margin, EXACT)[0]
 
     def outcome(self, place: Place) -> NearestPath:
         """A place as result."""
@@ -335,7 +343,8 @@ def approach(
             return None
         place, reached = search.reach(path, first * search.beside.slow)
         if reached and not margin:
-            return search.confirm(place, stays)
+            return search.outcome(search.settled(search.confirm(place, stays)))
         if reached:
-            return search.outcome(search.advance(place, 1.0, margin * search.beside.slow)[0])
+            place, _ = search.advance(place, 1.0, margin * search.beside.slow)
+            return search.outcome(search.settled(place))
     return None
