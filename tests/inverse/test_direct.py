@@ -252,6 +252,19 @@ def test_a_draped_sheet_gives_back_its_rest_shape_from_near_it_and_another_from_
     assert inverse_report(near)["direct_iterations"] < inverse_report(afar)["direct_iterations"]
 
 
+@pytest.mark.parametrize("bending", ["average", "tan"])
+def test_a_known_rest_shape_is_recognised(bending):
+    """It comes without the director angles that it has at the target, a quarter of the size away."""
+    known = hanging_sheet(young=1e7, bending=bending)
+    draping = Problem(known, MPI.COMM_SELF)
+    path = require(solve_statics(draping, StaticsOptions(tolerance=1e-12)))
+    shape = hanging_sheet(young=1e7, bending=bending)
+    shape.points = shape.rest_points = draping.positions(path.state)
+    result = solve_inverse(Problem(shape, MPI.COMM_SELF), shape, [], 0.0, guess=known.points)
+    assert result.converged and result.direct.iterations <= 1 and result.simulation.sag < 1e-12
+    assert inverse_report(result)["rest_distance_to_guess"] < 1e-9
+
+
 def pleated_strip(bending):
     """A strip with a pleat of 179.97 degrees."""
     shape, _ = heavy_strip(1.0, cells=12)

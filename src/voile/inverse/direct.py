@@ -148,6 +148,7 @@ class Direct:
     def begin_with(self, guess: PETSc.Vec, on_step: Progress | None = None) -> DirectPath | None:
         """The complete path, where Newton's method from a guess ends stable under the full load."""
         z = guess.copy()
+        self._relax(z)
         reason, norm, iterations = self.solve(z, 1.0)
         if reason or self.negative(z):
             return None
@@ -156,6 +157,28 @@ class Direct:
             on_step(step)
         self._go_to(z, 1.0)
         return DirectPath(z, 1.0, True, residual=norm, iterations=iterations, steps=[step])
+
+    def _relax(self, z: PETSc.Vec) -> None:
+        """Brings z's director angles, which a guess of the rest shape does not have, to equilibrium between the target
+        and that rest shape; as near as Newton's method does."""
+        problem, f, step = self.problem, self.problem.create_vector(), self.problem.create_vector()
+        if not problem.directors:
+            return
+        self.target.load(1.0)
+        vertices = np.flatnonzero(self.rest.is_vertex) + problem.part.first_global
+        before = math.inf
+        for _ in range(MOST):
+            y, _ = self._evaluate(z, f)
+            f.array[self.rest.is_vertex] = 0.0
+            if not f.norm() < before:
+                return
+            before = f.norm()
+            problem.tangent(y, self.tangent)
+            self.tangent.zeroRowsColumns(vertices.astype(np.int32), 1.0)
+            pc = factored(self.tangent)
+            pc.apply(f, step)
+            pc.destroy()
+            z.axpy(-1.0, step)
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
         """Newton's method at a fraction of the load from z, which ends at the solution: reason of a failure or empty,
