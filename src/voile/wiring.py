@@ -76,6 +76,10 @@ def build_model(scene: Scene) -> Model:
         offset = 0.5 * float(shell.thickness.max())
     notes = list(surface.notes)
     size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    if scene.inverse.developable and fixed.all():
+        raise InputError(
+            f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"
+        )
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         notes += _gaping(shell, size, spec.mesh)
     if bodies:

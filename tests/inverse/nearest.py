@@ -3,7 +3,8 @@
 from inverse_shells import folded_skirt
 from mpi4py import MPI
 
-from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+from voile.inverse.result import inverse_report
+from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.problem.discrete import Problem
 
 

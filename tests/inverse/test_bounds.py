@@ -25,19 +25,24 @@ def moved(design, vertex, to):
 
 
 @pytest.mark.parametrize(
-    "share, what, limits",
-    [(0.02, "0.02 times its area", AREAS), (9.0, "times as long", EDGES), (30.0, "30 times", AREAS)],
+    "share, shear, what, limits",
+    [
+        (0.02, 0.0, "0.02 times its area", AREAS),
+        (30.0, 0.0, "30 times its area", AREAS),
+        (1.0, 30.0, "times as long", EDGES),
+    ],
 )
-def test_a_breach_is_named_with_its_triangle_and_counted(share, what, limits):
-    """The corner of a sheet, moved from and to the edge across."""
+def test_a_breach_is_named_with_its_triangle_and_counted(share, shear, what, limits):
+    """The corner of a sheet, moved from and to the edge across, and along it."""
     sheet = hanging_sheet()
     rest, bounds = RestShape(Problem(sheet, MPI.COMM_SELF)), Bounds()
     assert bounds.broken(rest) == "" and bounds.told() == ""
     corner = int(np.flatnonzero(np.bincount(sheet.triangles.ravel()) == 1)[-1])
     row = int(np.flatnonzero((sheet.triangles == corner).any(axis=1))[0])
-    middle = sheet.points[np.setdiff1d(sheet.triangles[row], corner)].mean(axis=0)
+    ends = sheet.points[np.setdiff1d(sheet.triangles[row], corner)]
+    middle, along = ends.mean(axis=0), ends[1] - ends[0]
     local = rest.problem.part.vertex.tolist().index(corner)
-    moved(rest, local, middle + share * (sheet.points[corner] - middle))
+    moved(rest, local, middle + share * (sheet.points[corner] - middle) + shear * along)
     said = bounds.broken(rest)
     assert said.startswith(f"rest triangle {row} would have") and what in said
     assert said.endswith(f"allowed: {limits[0]:g} to {limits[1]:g}")

@@ -11,7 +11,8 @@ from voile.errors import NotConverged
 from voile.inverse.developable import DevelopableRest
 from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
-from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+from voile.inverse.result import inverse_report
+from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
 

@@ -11,7 +11,8 @@ from mpi4py import MPI
 from voile.contact.obstacles import Cylinder, Motion, Plane
 from voile.errors import NotConverged
 from voile.inverse.direct import Direct
-from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+from voile.inverse.result import inverse_report
+from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
 from voile.solver.path import StaticsOptions, require

@@ -8,7 +8,8 @@ from mpi4py import MPI
 
 from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
-from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse, solve_panels
+from voile.inverse.result import inverse_report
+from voile.inverse.solve import InverseOptions, solve_inverse, solve_panels
 from voile.problem.discrete import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics

@@ -14,7 +14,8 @@ from test_direct import rod, tube
 
 from voile.contact.obstacles import Plane
 from voile.errors import NotConverged
-from voile.inverse.solve import InverseOptions, inverse_report, solve_inverse
+from voile.inverse.result import inverse_report
+from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.mesh import read_mesh, write_obj
 from voile.problem.contact import shell_layers

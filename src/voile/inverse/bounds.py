@@ -10,7 +10,7 @@ from mpi4py import MPI
 from voile.problem.discrete import Problem
 
 AREAS = 0.1, 10.0
-EDGES = 0.2, 5.0
+EDGES = 0.1, 10.0
 
 
 class Design(Protocol):

@@ -2,10 +2,11 @@
 
     min_p  1/2 sum over unknowns of all observations of |x(p) - x_o|^2,   p the logarithms of the parameters,
 
-by Gauss and Newton's method. Sensitivities dx/dp are -K^-1 dR/dp; where contact, with its kinks and its way, or an
-unknown rest shape enters, central differences of simulations. With independent noise of variance s^2 = 2 J / (N - k) in
-the N observed coordinates the estimate has the covariance s^2 (S^T S)^-1 (Nocedal & Wright, section 10.1). Parameters
-that no observation tells apart, as E and rho, which only enter by their ratio, are refused.
+by Levenberg and Marquardt's method (Nocedal & Wright, section 10.3). Sensitivities dx/dp are -K^-1 dR/dp; where
+contact, with its kinks and its way, or an unknown rest shape enters, central differences of simulations. With
+independent noise of variance s^2 = 2 J / (N - k) in the N observed coordinates the estimate has the covariance
+s^2 (S^T S)^-1 (Nocedal & Wright, section 10.1). Parameters that no observation tells apart, as E and rho, which only
+enter by their ratio, are refused.
 
 Where the rest shape is unknown, too, the first observation, taken as exact, gives it for any parameters (the direct
 method), and the others give the parameters: a variable projection (Golub & Pereyra 1973).
@@ -23,7 +24,11 @@ from voile.inverse.observation import Observation, UnknownRest
 MOST, SETTLED = 40, 1e-9  # iterations; change of the logarithms of the parameters that ends them
 STUCK = 1e-4  # the same of a step that should decrease the misfit and does not
 FARTHEST = np.log(4.0)  # change of a parameter in one iteration
-HALVINGS = 8
+DAMPING, HARDEST = 0.1, 1e8  # of steps, over the diagonal: the first, and where none is left to try
+TRUSTED, POOR = (
+    0.75,
+    0.25,
+)  # decrease of the misfit over the model's: from which steps are damped less, or more
 DOUBLINGS = 3  # of a first guess of friction under which nothing holds
 NEARER = 0.9  # of the misfit: another branch
 DIFFERENCE = 1e-3  # of the logarithms in central differences
@@ -81,21 +86,21 @@ class Estimation:
                 states = self._simulate(p)
         if states is None:
             raise NotConverged(f"estimation: with the first guess of the parameters: {self._reason()}")
+        damping = DAMPING
         for iteration in range(MOST):
             misfit = self._misfit(states)
             history.append((float(np.sqrt(misfit / self.count)), self._values(p)))
             if on_step:
                 on_step(iteration, *history[-1])
             gram, slope = self._normal_equations(p, states)
-            step = -np.linalg.solve(gram, slope)
-            step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
-            moved = self._advance(p, step, states, misfit)
-            done = moved is None or np.abs(moved[0] - p).max() < SETTLED
+            moved, damping = self._advance(p, gram, slope, misfit, damping)
+            whole = np.abs(np.linalg.solve(gram, slope)).max()
+            done = moved is None or whole < SETTLED
             nearer = self._from_observed(*(moved or (p, states))) if done else None
             if nearer:
                 p, states = nearer
                 continue
-            if moved is None and np.abs(step).max() > STUCK:
+            if moved is None and whole > STUCK:
                 raise NotConverged(
                     f"estimation: no step along the descent direction decreases the misfit {history[-1][0]:.3e} m"
                 )
@@ -130,15 +135,23 @@ class Estimation:
             f"no equilibrium: {reasons[0]}" if reasons else "no stable rest shape for the first observation"
         )
 
-    def _advance(self, p, step, states, misfit) -> tuple[np.ndarray, list[PETSc.Vec]] | None:
-        """The longest of the halved steps that decreases the misfit."""
-        for halving in range(HALVINGS):
-            trial = p + 0.5**halving * step
-            there = self._simulate(trial)
-            if there is not None and self._misfit(there) < misfit:
-                return trial, there
+    def _advance(
+        self, p: np.ndarray, gram: np.ndarray, slope: np.ndarray, misfit: float, damping: float
+    ) -> tuple[tuple[np.ndarray, list[PETSc.Vec]] | None, float]:
+        """The first of ever more damped steps that decreases the misfit, and the damping of the next one."""
+        while damping <= HARDEST:
+            step = -np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
+            step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
+            there = self._simulate(p + step)
+            decrease = misfit - self._misfit(there) if there is not None else -np.inf
+            if decrease > 0.0:
+                gain = decrease / max(-2.0 * slope @ step - step @ gram @ step, 1e-300)
+                damping *= 0.1 if gain > TRUSTED else 10.0 if gain < POOR else 1.0
+                assert there is not None
+                return (p + step, there), damping
+            damping *= 10.0
         self._simulate(p)
-        return None
+        return None, DAMPING
 
     def _from_observed(
         self, p: np.ndarray, states: list[PETSc.Vec]

@@ -5,29 +5,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
 from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
-from voile.inverse.adjoint import NEAR, REASON, AdjointPath, keep_what_is_reached, minimise
+from voile.inverse.adjoint import NEAR, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
-from voile.inverse.bounds import area_range
 from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.flatten import FlatPanels
-from voile.inverse.nearest import NearestPath, approach
 from voile.inverse.nearest import Progress as NearestProgress
+from voile.inverse.nearest import approach
+from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
-from voile.inverse.verify import Simulation, simulate
+from voile.inverse.verify import simulate
 from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 
 Progress = Callable[[DirectStep], None]
-FAR = 0.1  # sizes: a simulation that ends further from the target has nothing to do with it
-STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
 COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
@@ -49,104 +46,6 @@ class InverseOptions:
     regularisation: float = 1e-3
     iterations: int = 20
     developable: bool = False
-
-
-@dataclass
-class InverseResult:
-    """A rest shape (`rest`: rest displacements and director angles on the problem's unknowns) and what it is worth.
-
-    residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
-    the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`;
-    simulation and disturbed: statics from the target and from beside it, `held` from the nearest answer, all to
-    `tolerance` of the loads' norm; seconds: of
-    the search (`inverse`) and of certificate and simulations (`proof`).
-    """
-
-    target: Target
-    rest: PETSc.Vec
-    direct: DirectPath
-    adjoint: AdjointPath | None
-    residual: float
-    eigenvalue: float
-    mode: PETSc.Vec
-    simulation: Simulation
-    disturbed: Simulation
-    seconds: dict[str, float]
-    panels: PanelRest | None = None
-    trade: list[dict[str, float | None]] | None = None
-    nearest: NearestPath | None = None
-    held: Simulation | None = None
-    guess: np.ndarray | None = None
-    tolerance: float = 0.0
-
-    @property
-    def stable(self) -> bool:
-        return self.eigenvalue > 0.0
-
-    @property
-    def converged(self) -> bool:
-        """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
-        found = self.direct.converged or self.nearest is not None or self.adjoint is not None
-        return found and self.stable and self.simulation.stable and not (self._drifts or self._far)
-
-    @property
-    def _far(self) -> bool:
-        return (self.nearest or self.simulation).sag > FAR
-
-    @property
-    def _drifts(self) -> bool:
-        """Whether the nearest answer is none to the simulation, friction and contact included."""
-        return self.held is not None and not (self.held.stable and self.held.sag <= STILL)
-
-    @property
-    def reason(self) -> str:
-        far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
-        settled, beside = self.simulation.path.converged, self.disturbed.path.converged
-        settles = "; the simulation from beside it did not settle" if settled and not beside else ""
-        said, bounds = self._finding() + far + settles, self.target.bounds
-        exact = self.direct.converged and not (self.panels or self.trade)
-        return said if exact or bounds.last in said else said + bounds.told()
-
-    def _finding(self) -> str:
-        if not self.simulation.path.converged:
-            without = "" if self.direct.converged else f"{self.direct.reason}; {self._kept()}; simulated, "
-            return without + self.simulation.path.reason
-        leaves = "" if self._stays() else "; a simulation from the target leaves it"
-        if self.panels or self.trade:
-            what = "flat panels" if self.panels else "developable rest shape"
-            kind = "a stable" if self.stable else "an unstable"
-            where = f"{self.simulation.sag:.2g} sizes from the target{leaves}"
-            return f"{what} with {kind} equilibrium {where}{self._more()}"
-        if self.direct.converged:
-            unstable = f"the target is unstable: {self._unstable()}"
-            return "target in stable equilibrium" if self.stable else unstable
-        if self.nearest:
-            found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
-            where = "; a simulation from it leaves it" if self._drifts else leaves
-            return f"{found}{where}; exactly, {self.direct.reason}"
-        if self.adjoint is None:
-            return f"{self.direct.reason}; {self._kept()}"
-        if not self.stable:
-            return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
-        sag = f"with sag {self.simulation.sag:.2e}"
-        return f"nearest stable answer found, {sag}{leaves}; exactly, {self.direct.reason}"
-
-    def _kept(self) -> str:
-        if self.nearest or self.adjoint:
-            return "kept is the nearest found"
-        return f"kept is the rest shape at {self.direct.fraction:.4g} of the load"
-
-    def _more(self) -> str:
-        cut_short = self.adjoint and self.adjoint.reason == REASON.DIVERGED_MAXITS
-        return "; more inverse.iterations may come nearer" if cut_short else ""
-
-    def _stays(self) -> bool:
-        """Whether a simulation from the target ends in the answer that a search found beside it."""
-        sag = self.nearest.sag if self.nearest else self.adjoint.trail[-1].sag if self.adjoint else np.inf
-        return self.simulation.sag <= NEAR * sag
-
-    def _unstable(self) -> str:
-        return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
 
 
 def solve_inverse(
@@ -311,13 +210,16 @@ def solve_panels(
     on_found: Callable[[np.ndarray], None] | None = None,
 ) -> tuple[InverseResult, np.ndarray]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
-    variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes."""
+    variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
+    does those that the search starts from."""
     options = options or InverseOptions()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
     path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
     panels = PanelRest(problem, problem.comm.bcast(start_of_panels(target, shell, path.rest, flat)))
+    if on_found:
+        on_found(panels.base)  # the search may be long, or find nothing
     adjoint = minimise(
         target,
         panels.create(),
@@ -340,59 +242,3 @@ def solve_panels(
         panels, tolerance=options.tolerance,
     )  # fmt: skip
     return result, panels.coordinates(z)
-
-
-def inverse_report(result: InverseResult) -> dict:
-    """Figures for the summary: see the keys."""
-    target, direct, adjoint = result.target, result.direct, result.adjoint
-    problem = target.problem
-    rest = problem.motion(result.rest)
-    moved = np.linalg.norm(rest, axis=1)
-    off = np.zeros(0) if result.guess is None else np.linalg.norm(rest - result.guess, axis=1)
-    return {
-        "load_fraction": direct.fraction,
-        "critical_fraction": direct.critical,
-        "residual_at_target": result.residual if direct.steps else None,
-        "sag": result.simulation.settled_sag,
-        "sag_disturbed": result.disturbed.settled_sag,
-        "stable": result.stable,
-        "smallest_eigenvalue": result.eigenvalue,
-        "direct_iterations": direct.iterations,
-        "nearest": _nearest(result),
-        "adjoint_iterations": len(adjoint.steps) - 1 if adjoint else 0,
-        "forward_solves": (adjoint.forward_solves if adjoint else 0) + 2,
-        "adjoint_solves": adjoint.adjoint_solves if adjoint else 0,
-        "rest_displacement": problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX),
-        "rest_distance_to_guess": problem.comm.allreduce(float(off.max(initial=0.0)), op=MPI.MAX),
-        "rest_area_ratio": area_range(result.panels or target.rest),
-        "bounds": {"turned_away": target.bounds.breaches, "last": target.bounds.last or None},
-        "reactions": _reactions(target),
-        **(
-            {"developability": result.trade, "largest_defect": result.trade[-1]["defect"]}
-            if result.trade
-            else {}
-        ),
-    }
-
-
-def _nearest(result: InverseResult) -> dict | None:
-    nearest, held = result.nearest, result.held
-    if not (nearest and held):
-        return None
-    return {"sag": nearest.sag, "margin": nearest.margin, "steps": len(nearest.steps), "moved": held.sag}
-
-
-def _reactions(target: Target) -> dict:
-    """What holds the target, over all ranks: contacts, those that bear, the least margin to slip (share of friction's
-    bound that is left) and the least friction that would do."""
-    comm = target.problem.comm
-    own, body = target.own, target.on_obstacles()
-    normal, margin = target.margins()
-    bears = own & (normal > 0.0)
-    return {
-        "contacts": comm.allreduce(int(own.sum())),
-        "bearing": comm.allreduce(int(bears.sum())),
-        "force": comm.allreduce(target.reactions[own & body].sum(axis=0)),
-        "least_margin": comm.allreduce(float(margin[bears].min(initial=1.0)), op=MPI.MIN),
-        "least_friction": target.least_friction,
-    }

@@ -31,7 +31,8 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
     if scene.inverse.estimate:
         return run_estimation(scene, model, folder, comm, progress, began)
-    from voile.inverse.solve import InverseOptions, inverse_report
+    from voile.inverse.result import inverse_report
+    from voile.inverse.solve import InverseOptions
     from voile.solver.sewing import sew
 
     spec = scene.inverse
