@@ -97,6 +97,8 @@ young = 1; [loads] | : not TOML: Cannot overwrite a value (at line 7, column 10)
 [[obstacle]]; shape = 'cone'; apex = [0, 0, 0]; axis = [0, 0, 1]; half_angle = 1.6 | , line 11: obstacle.0.hal
 [[obstacle]]; shape = 'torus'; center = [0, 0, 0]; axis = [0, 0, 1]; radius = 1; tube = 1 | , line 12: obst
 [[obstacle]]; shape = 'ellipsoid'; center = [0, 0, 0]; radii = [1, 0, 1] | , line 10: obstacle.0.radii: in [1,
+[inverse]; observed = 'seen.obj' | , line 8: inverse.observed: tells of parameters; allowed with inverse.estimate
+[inverse]; estimate = ['young', 'young'] | , line 8: inverse.estimate: ['young', 'young']; allowed: each para
 [[obstacle]]; shape = 'sphere'; center = [0, 0, 0]; radius = 1; scale = 1.0 | , line 11: obstacle.0.scale: not
 """
 

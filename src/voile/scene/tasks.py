@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from voile.scene.kinds import Array, Boolean, Choice, File, Integer, Number
+from voile.scene.kinds import Array, Boolean, Choice, File, Integer, Number, Rejected
 from voile.scene.table import key
 
 
@@ -96,6 +96,14 @@ class Inverse:
         "norm of the residual over the norm of the load, of the simulations that prove the rest shape",
         default=1e-8,
     )
+
+    def check(self, given: set[str]) -> None:
+        names = self.estimate
+        if len(set(names)) < len(names):
+            raise Rejected(f"{list(names)}; allowed: each parameter once", ("estimate",))
+        for name in ("observed", "also"):
+            if name in given and not names:
+                raise Rejected("tells of parameters; allowed with inverse.estimate", (name,))
 
 
 @dataclass(frozen=True, kw_only=True)
