@@ -6,7 +6,9 @@ equation per free rigid motion. Among the reactions that do, those nearest to ca
     min sum_i |r_i + f_i|^2 / (2 w_i)   with   r_i in K_i,   Z^T (r + f) = 0,
 
 w_i the size of the vertex's load, Z the free rigid motions, are r_i = P_Ki(w_i Z_i lambda - f_i) with lambda the least
-of a convex function in as many unknowns as there are free motions, which has none where no reactions suffice.
+of a convex function in as many unknowns as there are free motions, which has none where no reactions suffice. Then
+lambda grows towards a motion that no reaction in the cones resists and the loads drive (Farkas' lemma): met, it proves
+that there are none.
 """
 
 from collections.abc import Callable
@@ -14,7 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-MOST = 200  # Newton iterations
+MOST = 300  # Newton iterations
+SOFTEST, HARDER = (
+    1e-10,
+    10.0,
+)  # damping over the mean of the first Hessian's diagonal; factor after a step that fails
+SHORTEST = 1e-14  # of lambda: no step
+HIDDEN = 1e-12  # relative, of the function: where round-off hides its fall the gradient has to
 FAR = 1e7  # |lambda| beyond which the reactions cannot balance the loads
 BALANCED = 1e-13  # resultant over the loads
 BISECTIONS = 40
@@ -69,26 +77,35 @@ class Balance:
         k = len(self.resultant)
         if not self.scale:
             return np.zeros_like(self.load)
-        factor = np.zeros(k)
+        factor, damping = np.zeros(k), 0.0
         value, gradient, hessian, r = self._dual(cones, factor)
+        least = SOFTEST * np.trace(hessian) / max(k, 1) + 1e-14 * self.scale
         for _ in range(MOST):
             if np.linalg.norm(gradient) <= BALANCED * self.scale:
                 return r
-            damping = 1e-10 * np.trace(hessian) / max(k, 1) + 1e-14 * self.scale
-            step = -np.linalg.solve(hessian + damping * np.eye(k), gradient)
-            share = 1.0
-            while True:
-                trial = self._dual(cones, factor + share * step)
-                if trial[0] <= value + 1e-4 * share * float(gradient @ step) + 1e-15 * abs(value):
-                    break
-                share *= 0.5
-                if share < 1e-12:
+            step = -np.linalg.solve(hessian + max(damping, least) * np.eye(k), gradient)
+            trial = self._dual(cones, factor + step)
+            falls = trial[0] <= value + 1e-4 * float(gradient @ step)
+            same = trial[0] <= value + HIDDEN * abs(value)
+            if not (falls or (same and np.linalg.norm(trial[1]) < np.linalg.norm(gradient))):
+                damping = HARDER * max(damping, least)
+                if np.linalg.norm(step) <= SHORTEST * np.linalg.norm(factor):
                     return r if np.linalg.norm(gradient) <= 1e3 * BALANCED * self.scale else None
-            factor = factor + share * step
+                continue
+            damping /= HARDER
+            factor = factor + step
             value, gradient, hessian, r = trial
-            if np.linalg.norm(factor) > FAR:
+            if np.linalg.norm(factor) > FAR or self._escapes(cones, factor):
                 return None
         return None
+
+    def _escapes(self, cones: Cones, motion: np.ndarray) -> bool:
+        """Whether no reaction in the cones resists a rigid motion (k,) that the loads drive."""
+        driven = float(self.resultant @ motion) < -HIDDEN * np.linalg.norm(self.resultant) * np.linalg.norm(
+            motion
+        )
+        resisted = cones.project(self.modes @ motion)[0].any(axis=1) & self.own
+        return driven and not self.add(np.array([float(resisted.any())]))[0]
 
     def _dual(self, cones: Cones, factor: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """The convex function of lambda, its gradient (k,), Hessian (k, k), and the reactions."""
@@ -96,9 +113,10 @@ class Balance:
         r, slope = cones.project(trial)
         own = self.own
         value = np.sum((r**2).sum(axis=1)[own] / (2.0 * self.weight[own]))
-        gradient = np.einsum("cik,ci->k", self.modes[own], r[own])
-        bent = np.einsum("cij,cjk->cik", slope * self.weight[:, None, None], self.modes)
-        hessian = np.einsum("cik,cil->kl", self.modes[own], bent[own])
+        counted = self.modes * own[:, None, None]
+        rows = counted.reshape(r.size, len(factor))
+        gradient = r.ravel() @ rows
+        hessian = rows.T @ ((slope * self.weight[:, None, None]) @ self.modes).reshape(rows.shape)
         total = self.add(np.concatenate([[value], gradient, hessian.ravel()]))
         k = len(factor)
         return (
@@ -119,6 +137,6 @@ def least_friction(balance: Balance, cones: Cones, most: float = 100.0) -> float
     for _ in range(BISECTIONS):
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if balance.solve(cones.scaled(middle)) is not None else (middle, high)
-        if high < 1.0001 * low:
+        if high < 1.0005 * low:
             break
     return high

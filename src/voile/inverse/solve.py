@@ -68,8 +68,8 @@ def solve_inverse(
     rest positions to start from. exempt and guess on rank 0. on_found takes the rest shape before its proof. Raises
     NotConverged where no reactions can hold the target."""
     options = options or InverseOptions()
-    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
+    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
     path = _direct(target, on_step, None if away is None else target.field_vector(away))
@@ -213,8 +213,8 @@ def solve_panels(
     variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
     does those that the search starts from."""
     options = options or InverseOptions()
-    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     began = time.perf_counter()
+    target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
     panels = PanelRest(problem, problem.comm.bcast(start_of_panels(target, shell, path.rest, flat)))
