@@ -21,6 +21,7 @@ from voile.solver.newton import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step
+STAGNANT = 0.5  # of the norm: a smaller decrease where round-off may hide the rest is the last
 IDLE = 10  # of them without a smaller residual
 CYCLING = 2  # of them after which a step must lessen it
 SHARES = 1.0, 0.5, 0.25, 0.125  # of a step, tried then
@@ -187,6 +188,7 @@ class Direct:
         target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
         norm, best, worst, idle = math.inf, math.inf, 0.0, 0
+        near, kept = math.inf, z.copy()  # least norm under round-off, and where
         # then that of this start: a failed way may have left the matrix of a wild state
         noise = force_floor(problem)
         for it in range(MOST + 1):
@@ -197,8 +199,13 @@ class Direct:
             if broken:
                 return broken, norm, it
             loads = target.load_norm(y)
-            if norm <= max(self.tolerance * loads, noise):
+            if norm <= self.tolerance * loads:
                 return "", norm, it
+            if near < math.inf and not norm < STAGNANT * near:
+                break
+            if norm <= noise:
+                near = norm
+                z.copy(kept)
             if norm > worst:  # what comes back from a large residual is on its way
                 best, worst, idle = norm, norm, 0
             idle = idle + 1 if norm >= best else 0
@@ -210,6 +217,10 @@ class Direct:
             if it == 0:
                 noise = self.floor()
             z.axpy(-(1.0 if idle < CYCLING else self._shorter(z, direction, norm)), direction)
+        if near < math.inf:
+            kept.copy(z)
+            self._evaluate(z, f)
+            return "", near, it
         return f"the residual stays at {norm:.2e} N", norm, it
 
     def _evaluate(self, z: PETSc.Vec, f: PETSc.Vec) -> tuple[PETSc.Vec, float]:

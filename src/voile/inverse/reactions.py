@@ -101,11 +101,10 @@ class Balance:
 
     def _escapes(self, cones: Cones, motion: np.ndarray) -> bool:
         """Whether no reaction in the cones resists a rigid motion (k,) that the loads drive."""
-        driven = float(self.resultant @ motion) < -HIDDEN * np.linalg.norm(self.resultant) * np.linalg.norm(
-            motion
-        )
+        largest = float(np.linalg.norm(self.resultant) * np.linalg.norm(motion))
+        driven = float(self.resultant @ motion) < -HIDDEN * largest
         resisted = cones.project(self.modes @ motion)[0].any(axis=1) & self.own
-        return driven and not self.add(np.array([float(resisted.any())]))[0]
+        return driven and not bool(self.add(np.array([float(resisted.any())]))[0])
 
     def _dual(self, cones: Cones, factor: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """The convex function of lambda, its gradient (k,), Hessian (k, k), and the reactions."""

@@ -55,6 +55,11 @@ class InverseResult:
         self.apart = distance(self.target, ends[1].state, ends[0].state) if both else 0.0
 
     @property
+    def exact(self) -> bool:
+        """Whether the target itself is in equilibrium with the rest shape."""
+        return self.direct.converged and not (self.nearest or self.adjoint)
+
+    @property
     def stable(self) -> bool:
         return self.eigenvalue > 0.0
 
@@ -81,8 +86,7 @@ class InverseResult:
         if self.apart > APART:
             settles = f"; the simulation from beside it ends elsewhere, {self.disturbed.sag:.2g} sizes from the target"
         said, bounds = self._finding() + far + settles, self.target.bounds
-        exact = self.direct.converged and not (self.panels or self.trade)
-        return said if exact or bounds.last in said else said + bounds.told()
+        return said if self.exact or bounds.last in said else said + bounds.told()
 
     def _finding(self) -> str:
         if not self.simulation.path.converged:
@@ -136,7 +140,7 @@ def inverse_report(result: InverseResult) -> dict:
     return {
         "load_fraction": direct.fraction,
         "critical_fraction": direct.critical,
-        "residual_at_target": result.residual if direct.steps else None,
+        "residual_at_target": result.residual if result.exact else None,
         "sag": result.simulation.settled_sag,
         "sag_disturbed": result.disturbed.settled_sag,
         "stable": result.stable,
@@ -150,7 +154,7 @@ def inverse_report(result: InverseResult) -> dict:
         "rest_distance_to_guess": problem.comm.allreduce(float(off.max(initial=0.0)), op=MPI.MAX),
         "rest_area_ratio": area_range(result.panels or target.rest),
         "bounds": {"turned_away": target.bounds.breaches, "last": target.bounds.last or None},
-        "reactions": _reactions(target),
+        "reactions": _reactions(result),
         **(
             {"developability": result.trade, "largest_defect": result.trade[-1]["defect"]}
             if result.trade
@@ -166,17 +170,19 @@ def _nearest(result: InverseResult) -> dict | None:
     return {"sag": nearest.sag, "margin": nearest.margin, "steps": len(nearest.steps), "moved": held.sag}
 
 
-def _reactions(target: Target) -> dict:
-    """What holds the target, over all ranks: contacts, those that bear, the least margin to slip (share of friction's
-    bound that is left) and the least friction that would do."""
-    comm = target.problem.comm
+def _reactions(result: InverseResult) -> dict:
+    """What holds the target, or the nearest stable shape, over all ranks: contacts, those that bear, the least margin
+    to slip (share of friction's bound that is left) and the least friction that would do. Answers of the adjoint method
+    have the simulation's reactions only."""
+    target, comm = result.target, result.target.problem.comm
     own, body = target.own, target.on_obstacles()
+    known = {"contacts": comm.allreduce(int(own.sum())), "least_friction": target.least_friction}
+    if result.adjoint:
+        return known | dict.fromkeys(("bearing", "force", "least_margin"))
     normal, margin = target.margins()
     bears = own & (normal > 0.0)
-    return {
-        "contacts": comm.allreduce(int(own.sum())),
+    return known | {
         "bearing": comm.allreduce(int(bears.sum())),
         "force": comm.allreduce(target.reactions[own & body].sum(axis=0)),
         "least_margin": comm.allreduce(float(margin[bears].min(initial=1.0)), op=MPI.MIN),
-        "least_friction": target.least_friction,
     }

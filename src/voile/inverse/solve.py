@@ -108,6 +108,8 @@ def solve_inverse(
         target.load(1.0)
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
         nearest = None
+    if adjoint:
+        target.release()
     searched = time.perf_counter()
     if on_found:
         on_found(z)
@@ -229,6 +231,7 @@ def solve_panels(
         on_iteration,
         panels,
     )
+    target.release()
     simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
     z, searched = adjoint.rest, time.perf_counter()
     if on_found:

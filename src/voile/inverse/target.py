@@ -214,6 +214,10 @@ class Target:
         moved = self._jump(self.problem.motion(z))
         self.reactions, self._slope = self._used.project(self.firmness * moved)
 
+    def release(self) -> None:
+        """No reactions: those of the rest shape that was found are the simulation's."""
+        self.reactions = np.zeros_like(self.reactions)
+
     def residual(self, y: PETSc.Vec, f: PETSc.Vec) -> None:
         """Balance of forces at y with the present rest shape and reactions (N)."""
         self.problem.residual(y, f, self._spread(self.reactions))

@@ -256,9 +256,9 @@ def _write_result(scene, model, shell, folder: Path, result, flat, comm) -> None
             own = problem.part.owned_vertices
             at_target["point_data"] = {name: values[own] for name, values in target.fields().items()}
             at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])
-        writer.write_step(
-            0.0, scalars={"residual": result.residual, "converged": 1.0}, **_kept(at_target, keep)
-        )
+        residual = result.residual if result.exact else math.nan
+        scalars = {"residual": residual, "converged": float(result.exact)}
+        writer.write_step(0.0, scalars=scalars, **_kept(at_target, keep))
         for step, simulation in ((0.5, result.held), (1.0, result.simulation)):
             if simulation:
                 path = simulation.path
