@@ -98,6 +98,7 @@ young = 1; [loads] | : not TOML: Cannot overwrite a value (at line 7, column 10)
 [[obstacle]]; shape = 'torus'; center = [0, 0, 0]; axis = [0, 0, 1]; radius = 1; tube = 1 | , line 12: obst
 [[obstacle]]; shape = 'ellipsoid'; center = [0, 0, 0]; radii = [1, 0, 1] | , line 10: obstacle.0.radii: in [1,
 [inverse]; observed = 'seen.obj' | , line 8: inverse.observed: tells of parameters; allowed with inverse.estimate
+[scene]; task = 'inverse'; [[fix]]; select.all = true; move.displacement = [0, 0, 1] | , line 11: fix.0.move: the target
 [inverse]; estimate = ['young', 'young'] | , line 8: inverse.estimate: ['young', 'young']; allowed: each para
 [[obstacle]]; shape = 'sphere'; center = [0, 0, 0]; radius = 1; scale = 1.0 | , line 11: obstacle.0.scale: not
 """

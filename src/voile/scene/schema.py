@@ -260,6 +260,14 @@ class Scene:
             )
         if self.scene.task == "inverse" and self.inverse.estimate and self.shell.rest is None:
             self._check_estimate()
+        if self.scene.task == "inverse" and not self.inverse.estimate:
+            for table in ("fix", "obstacle"):
+                for index, each in enumerate(getattr(self, table)):
+                    if each.move:
+                        raise Rejected(
+                            "the target is where all motion has ended; allowed with task = inverse: no move",
+                            (table, index, "move"),
+                        )
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
