@@ -236,6 +236,9 @@ def test_captured_target_that_hovers_starts_without_a_jump():
     result = solve(on_rod(), [rod(0.5, radius=0.0991)], contact_tolerance=1e-3)
     assert result.converged, result.reason
     assert result.simulation.sag < 1e-10
+    report = inverse_report(result)
+    assert report["reactions"]["gaps"] == pytest.approx([0.0, 4e-4], abs=1e-9)
+    assert report["disturbance"] == 0.0  # all of it touches
 
 
 def test_a_draped_sheet_gives_back_its_rest_shape_from_near_it_and_another_from_afar():

@@ -143,6 +143,7 @@ def inverse_report(result: InverseResult) -> dict:
         "residual_at_target": result.residual if result.exact else None,
         "sag": result.simulation.settled_sag,
         "sag_disturbed": result.disturbed.settled_sag,
+        "disturbance": result.disturbed.disturbance,
         "stable": result.stable,
         "smallest_eigenvalue": result.eigenvalue,
         "direct_iterations": direct.iterations,
@@ -171,18 +172,25 @@ def _nearest(result: InverseResult) -> dict | None:
 
 
 def _reactions(result: InverseResult) -> dict:
-    """What holds the target, or the nearest stable shape, over all ranks: contacts, those that bear, the least margin
-    to slip (share of friction's bound that is left) and the least friction that would do. Answers of the adjoint method
-    have the simulation's reactions only."""
+    """What holds the target, or the nearest stable shape, over all ranks: contacts, those that bear, least and largest
+    of their gaps in the target (m), which simulations keep, the least margin to slip (share of friction's bound that is
+    left) and the least friction that would do. Answers of the adjoint method have the simulation's reactions only."""
     target, comm = result.target, result.target.problem.comm
     own, body = target.own, target.on_obstacles()
     known = {"contacts": comm.allreduce(int(own.sum())), "least_friction": target.least_friction}
     if result.adjoint:
-        return known | dict.fromkeys(("bearing", "force", "least_margin"))
+        return known | dict.fromkeys(("gaps", "bearing", "force", "least_margin"))
     normal, margin = target.margins()
     bears = own & (normal > 0.0)
     return known | {
+        "gaps": _range(target.gaps()[bears], comm),
         "bearing": comm.allreduce(int(bears.sum())),
         "force": comm.allreduce(target.reactions[own & body].sum(axis=0)),
         "least_margin": comm.allreduce(float(margin[bears].min(initial=1.0)), op=MPI.MIN),
     }
+
+
+def _range(values: np.ndarray, comm: MPI.Comm) -> list[float]:
+    """Least and largest over all ranks, at most and at least 0."""
+    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    return [comm.allreduce(low, op=MPI.MIN), comm.allreduce(high, op=MPI.MAX)]

@@ -115,6 +115,11 @@ class Target:
             marked |= np.isfinite(touch.least(np.zeros(len(touch))))
         return marked
 
+    def gaps(self) -> np.ndarray:
+        """(c,) distances (m) of what may touch in the target, from surface to surface: negative where it sinks."""
+        thickness = self.layers.thickness if self.layers else 0.0
+        return self._gather(lambda t: t.gap - (self.offset if self._rigid(t) else thickness))
+
     def folds(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of neighbouring local triangles (k, 2) and the angle (k,) in radians between them: 0 where one lies on
         the other, pi where they are level."""

@@ -22,11 +22,12 @@ GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewis
 @dataclass
 class Simulation:
     """A simulation with the rest shape found. sag: largest displacement from the target, or from where it was told to
-    start, over the target's size; contact: the obstacles' at its end."""
+    start, over the target's size; contact: the obstacles' at its end; disturbance (m): largest of its start."""
 
     path: Path
     sag: float
     contact: Contact | None
+    disturbance: float = 0.0
 
     @property
     def settled_sag(self) -> float | None:
@@ -63,13 +64,14 @@ def simulate(
     (panels or target.rest).set(z)
     with target.obstructed():
         first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
-        if disturbed:
-            first.axpy(1.0, _disturbance(target))
+        beside = _disturbance(target) if disturbed else problem.create_vector()
+        first.axpy(1.0, beside)
         options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
         path = solve_statics(problem, options, start=first)
         problem.unbase(path.state)
         contact = problem.contact
-    return Simulation(path, sag(target, path.state, start), contact)
+    farthest = beside.norm(PETSc.NormType.INFINITY)
+    return Simulation(path, sag(target, path.state, start), contact, farthest)
 
 
 def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:

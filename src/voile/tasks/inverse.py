@@ -26,6 +26,8 @@ from voile.tasks.patterns import (
 from voile.tasks.progress import Progress
 from voile.wiring import static_mesh
 
+HOVERS = 1e-4  # sizes: gaps of contacts that bear
+
 
 def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
     """As `run_statics` for the rest shape of an inverse scene, whose mesh is the target."""
@@ -56,6 +58,12 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
             f"inverse.tolerance: double precision holds the balance at the target to {result.residual:.1e} N, "
             f"{result.tolerance:.1e} of the loads; simulations are asked for no more"
         )
+    (sunk, hover), size = report["reactions"].get("gaps") or (0.0, 0.0), problem.size()
+    if model and max(-sunk, hover) > HOVERS * size:
+        model.notes.append(
+            f"what bears in the target lies {sunk:.2g} to {hover:.2g} m off what it touches: simulations here keep the "
+            "gaps, a scene of statics closes them"
+        )
     _write_result(scene, model, shell, folder, result, flat, comm)
     rest = time.perf_counter() - start - sum(result.seconds.values())
     seconds = {**problem.seconds, **result.seconds, "input_output": rest}
@@ -66,7 +74,9 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         "none" if value is None else f"{value:.2e} of the size"
         for value in (report["sag"], report["sag_disturbed"])
     )
-    progress.line(f"sag {sag}, {disturbed} after a disturbance; {result.reason}")
+    beside = report["disturbance"]
+    after = f"{disturbed} after a disturbance" if beside else "nothing is free to be disturbed"
+    progress.line(f"sag {sag}, {after}; {result.reason}")
     return "" if result.converged else result.reason
 
 
