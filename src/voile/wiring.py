@@ -88,7 +88,7 @@ def build_model(scene: Scene) -> Model:
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
             notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
-    if not bodies or (scene.scene.task == "statics" and not _pressed(shell, bodies)):
+    if not bodies or not _pressed(shell, bodies):
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     return Model(shell, surface, rest, notes, bodies, offset, cuts)

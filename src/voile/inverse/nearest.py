@@ -30,6 +30,7 @@ from voile.inverse.verify import sag
 MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
 SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
+IDLE = 0.98  # of the sag: a smaller margin that leaves more wins nothing
 SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
 LEAST = 1e-8, 1e-10  # mu at least
 NOTHING = 1e-16  # a merit from which there is nothing more to win
@@ -291,7 +292,10 @@ class Nearest:
                 break
             if firm(trial) != holds:
                 return found if holds else trial
+            wins = self._sag(trial) <= IDLE * self._sag(found)
             found = trial
+            if holds and not wins:
+                break
         return found if holds else first
 
     def settled(self, place: Place) -> Place:

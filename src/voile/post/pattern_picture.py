@@ -34,7 +34,7 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     limit = max(float(np.percentile(np.concatenate(shares), 99)), EXACT)
     letter, scale = LETTER * max(size), 0.86 * width * 72 / size[0]  # m; points per m
     for piece, share in zip(pattern.pieces, shares, strict=True):
-        colours = _draw_piece(axes, piece, share, limit, letter)
+        colours = _draw_piece(axes, piece, share, limit, letter, pattern.allowance)
         _write_name(axes, piece, _percent(share.max()), scale)
     for _, label, at, inward, height in seam_labels(pattern):
         points = float(np.clip(height * scale, 3.0, 9.0))
@@ -59,7 +59,9 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float) -> Any:
+def _draw_piece(
+    axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float, allowance: float
+) -> Any:
     """Cloth, distortion (f,) and lines of a piece; returns what the colour bar needs."""
     for k, ring in enumerate(piece.cut):
         axes.fill(*ring.T, facecolor="white" if k else CLOTH, edgecolor=INK, linewidth=0.9)
@@ -69,7 +71,7 @@ def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter
     outline = piece.points[piece.outline]
     axes.plot(*np.vstack([outline, outline[:1]]).T, color=SEAM, linewidth=0.8)
     mark = mark_length(piece, letter)
-    for line in notch_lines(piece, mark):
+    for line in notch_lines(piece, mark, allowance):
         axes.plot(*line.T, color=NOTCH, linewidth=1.2)
     for line in (piece.grain, *arrows(piece.grain, mark)):
         axes.plot(*line.T, color=INK, linewidth=0.9)

@@ -14,6 +14,8 @@ LETTER = 0.011  # height of seam labels, of the drawing's size
 LABEL = 0.22  # of a seam: clear of its notches, and of names and grain lines in the middle of pieces
 CLOTH = "#f6f3ea"
 BAR = 100.0  # mm, the scale bar to check a print with
+NOTCH = 4e-3  # m, into a piece without seam allowance
+WIDEST = 0.8  # mm, of a line
 # layer: (number of ASTM D6673, colour, width in drawing sizes / 1000)
 LAYERS = {
     "cut": (1, "#1b1f24", 1.1),
@@ -43,7 +45,7 @@ def write_svg(path: str | Path, pattern: Pattern) -> None:
     ElementTree.SubElement(root, "title").text = "Sewing pattern, true scale, millimetres"
     page = _Page(root, low, size[1], letter, max(size))
     for piece, key in zip(pattern.pieces, _keys(pattern), strict=True):
-        page.draw(piece, key)
+        page.draw(piece, key, pattern.allowance)
     page.seams(pattern)
     page.bar(height)
     try:
@@ -68,7 +70,7 @@ class _Page:
             style = (
                 {"fill": colour, "stroke": "none"} if name == "text" else {"fill": "none", "stroke": colour}
             )
-            style |= {"stroke-width": f"{width * size / 1000:.3f}"} if width else {}
+            style |= {"stroke-width": f"{min(width * size / 1000, WIDEST):.3f}"} if width else {}
             layer = {"id": name, "data-layer": str(number), "stroke-linejoin": "round", **style}
             self.layers[name] = ElementTree.SubElement(root, "g", layer)
 
@@ -93,12 +95,12 @@ class _Page:
         place = {"x": f"{x:.3f}", "y": f"{y + 0.35 * size:.3f}", "font-size": f"{size:.2f}", **style}
         ElementTree.SubElement(self.layers["text"], "text", {"text-anchor": "middle", **place}).text = text
 
-    def draw(self, piece: Piece, key: str) -> None:
+    def draw(self, piece: Piece, key: str, allowance: float) -> None:
         """Lines, marks and name of a piece."""
         mark = mark_length(piece, 1e-3 * self.letter)
         self.path("cut", key, list(piece.cut), closed=True, **{"fill": CLOTH, "fill-rule": "evenodd"})
         self.path("sew", key, [piece.points[piece.outline]], closed=True)
-        self.path("notch", key, notch_lines(piece, mark))
+        self.path("notch", key, notch_lines(piece, min(mark, NOTCH), allowance))
         turns = piece.points[piece.turns]
         cross = 0.4 * mark * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
         self.path("internal", key, [t + cross[[i, i + 1]] for t in turns for i in (0, 2)])
@@ -140,10 +142,11 @@ def name_height(piece: Piece, letters: int) -> float:
     return float(min(0.45 * width / (0.6 * letters), 0.15 * height))
 
 
-def notch_lines(piece: Piece, length: float) -> list[np.ndarray]:
-    """A stroke (2, 2) for each notch: from the sew line inwards, `length` long (m)."""
-    n = piece.notches
-    return [np.array([p, p + length * d]) for p, d in zip(n.points, n.inward, strict=True)]
+def notch_lines(piece: Piece, length: float, allowance: float) -> list[np.ndarray]:
+    """A stroke (2, 2) for each notch: from the sew line through the seam allowance (m), where a snip does no harm, or
+    without one inwards, `length` long (m)."""
+    n, reach = piece.notches, -allowance if allowance else length
+    return [np.array([p, p + reach * d]) for p, d in zip(n.points, n.inward, strict=True)]
 
 
 def arrows(line: np.ndarray, length: float) -> list[np.ndarray]:
