@@ -46,7 +46,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         (
             "seams",
             len(shell.slave) > 0,
-            f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices"
+            f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices; sewn edges "
+            + ("bend like the cloth" if shell.seam_bending else "turn freely")
             if len(shell.slave)
             else "no stitch records",
         ),

@@ -68,6 +68,7 @@ def build_model(scene: Scene) -> Model:
         force=_forces(scene, surface, loops),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
+        seam_bending=spec.seam_bending,
         **_seams(surface),
     )
     bodies = build_obstacles(scene)

@@ -252,6 +252,29 @@ def test_panels_are_cut_sewn_and_draped_again(tmp_path):
     assert np.linalg.norm(draped_from_pattern(tmp_path) - sewn.points, axis=1).max() < 0.01 * height
 
 
+def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, mpirun):
+    """Than with free seams, and so does their pattern, sewn and draped again, on one rank and on two."""
+    height, sags = hanging_cone(tmp_path, inverse='developable = "panels"\niterations = 8'), []
+    for bends in ("false", "true"):
+        code, said = run(tmp_path, "--set", f"shell.seam_bending={bends}", "--set", "shell.young=3e6")
+        assert code == 0, said
+        summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        sags.append(summary["inverse"]["sag"])
+        assert any("shell.seam_bending = false" in note for note in summary["notes"]) == (bends == "false")
+    assert sags[0] > 1e-2 and sags[1] < 1e-4
+    text = (tmp_path / "scene.toml").read_text()
+    (tmp_path / "scene.toml").write_text(
+        text.replace("young = 10000000.0", "young = 3e6").replace("[shell]", "[shell]\nseam_bending = true")
+    )
+    draped = draped_from_pattern(tmp_path)
+    sewn = read_mesh(tmp_path / "out" / "rest.obj").points
+    assert np.linalg.norm(draped - sewn, axis=1).max() < 2e-3 * height
+    done = mpirun(2, ["-wdir", str(tmp_path), *command()], 100)
+    assert done.returncode == 0, done.stderr
+    with read_result(tmp_path / "out") as result:
+        np.testing.assert_allclose(result.points(-1), draped, atol=1e-10)
+
+
 def test_given_seams_and_a_dart_make_the_panels(tmp_path):
     """A cone skirt of 24 by 8 cells cut along two rulings, a dart halfway up between them."""
     hanging_cone(tmp_path, inverse="seams = [[0, 192], [12, 204], [198, 102]]")

@@ -1,5 +1,7 @@
 """Flat panels as design variables: derivatives, and skirts whose panels are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inverse_shells import shell
@@ -12,10 +14,13 @@ from voile.inverse.solve import InverseOptions, solve_panels
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest
+from voile.solver.path import StaticsOptions, require
+from voile.solver.statics import solve_statics
+from voile.tasks.patterns import cut_apart, first_copies
 
 
-def cone_skirt(around=24, down=8, **more):
-    """A frustum hanging from its waist, as shell with its flat panel (one, cut at the back) as rest shape."""
+def cone_skirt(around=24, down=8, pieces=1, **more):
+    """A frustum hanging from its waist, as shell with its flat panels as rest shape: one, cut at the back, or gores."""
     angle = 2 * np.pi * np.arange(around) / around
     radius = np.linspace(0.12, 0.24, down + 1)
     points = np.array([[r * np.cos(a), r * np.sin(a), -1.5 * (r - 0.12)] for r in radius for a in angle])
@@ -27,7 +32,9 @@ def cone_skirt(around=24, down=8, **more):
     )
     fixed = np.repeat(points[:, 2:] > -0.03, 3, axis=1)
     whole = shell(points, triangles.astype(np.int32), fixed, **more)
-    flat = flatten(split(whole.triangles, whole.points))
+    part = (np.tile(np.arange(len(triangles) // 2) % around, 2) * pieces) // around
+    groups = (part, tuple(f"gore{k}" for k in range(pieces))) if pieces > 1 else None
+    flat = flatten(split(whole.triangles, whole.points, groups, cut_open=True))
     whole.rest_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
     whole.rest_triangles = flat.panels.corners.astype(np.int32)
     whole.flat = True
@@ -89,3 +96,23 @@ def test_metric_is_the_mean_square_of_the_strain():
     panels.metric().mult(z, out)
     still = 0.1 * np.mean((moved**2).sum(axis=1)) / problem.size() ** 2
     np.testing.assert_allclose(z.dot(out), 0.01**2 + 2.0 * 0.004**2 + still, rtol=1e-12)
+
+
+@pytest.mark.parametrize("bending", ["average", "tan", "sin", "theta"])
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_sewn_panels_that_bend_at_seams_are_the_uncut_surface(bending, pieces):
+    """The same equilibrium of a cone skirt as one surface and as panels, cut apart and sewn; free seams sag more."""
+    whole, flat = cone_skirt(12, 4, pieces=pieces, bending=bending, young=1e6)
+    sewn = cut_apart(replace(whole, seam_bending=True), flat)
+    free = cut_apart(whole, flat)
+    assert len(sewn.topology.edges) == len(whole.topology.edges) < len(free.topology.edges)
+    ends = []
+    for each in (whole, sewn, free):
+        problem = Problem(each, MPI.COMM_SELF)
+        path = require(solve_statics(problem, StaticsOptions(tolerance=1e-11)))
+        ends.append((problem.positions(path.state), path.steps[-1].energies))
+    first = first_copies(flat)
+    np.testing.assert_allclose(ends[1][0][first], ends[0][0], atol=1e-9)
+    for name, energy in ends[0][1].items():
+        assert ends[1][1][name] == pytest.approx(energy, rel=1e-7, abs=1e-12)
+    assert np.abs(ends[2][0][first] - ends[0][0]).max() > 1e-4

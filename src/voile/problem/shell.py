@@ -7,6 +7,8 @@ import numpy as np
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
 
+SAME = 1e-3  # of an edge's length: rest shapes of two that are sewn together lie in one place
+
 
 def _no_ints() -> np.ndarray:
     return np.zeros(0, dtype=np.int32)
@@ -23,6 +25,7 @@ class Shell:
     weight x_second. Loads at load factor 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
+    seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
     """
 
     points: np.ndarray
@@ -47,11 +50,14 @@ class Shell:
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
     closing: np.ndarray | None = None
+    seam_bending: bool = False
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 
     def __post_init__(self) -> None:
         self.topology = self.topology or build_topology(self.triangles)
         if len(self.slave):
+            if self.seam_bending:
+                self.topology, self.clamped_edges = _through_seams(self)
             self.topology = _without_pockets(self)
 
 
@@ -66,6 +72,51 @@ def _without_pockets(shell: Shell) -> Topology:
     return replace(
         topology, across=np.where(closed, -1, across).astype(np.int32).reshape(topology.across.shape)
     )
+
+
+def _through_seams(shell: Shell) -> tuple[Topology, np.ndarray]:
+    """The topology in which boundary edges that are sewn to one another at both ends are one, with one director, and
+    the clamped edges in its order. Where the rest shape is no plane pattern it must have them in one place, too."""
+    topology, n = shell.topology, len(shell.points)
+    label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
+    half = np.flatnonzero(topology.across.ravel() < 0)
+    row, side = half // 3, half % 3
+    ends = [(row, (side + 1) % 3), (row, (side + 2) % 3)]
+    start, end = (label[shell.triangles[place]].astype(np.int64) for place in ends)
+    ways, first, count = np.unique(start * n + end, return_index=True, return_counts=True)
+    back = np.searchsorted(ways, end * n + start)
+    back = np.where(back < len(ways), back, 0)
+    met = (
+        (ways[back] == end * n + start)
+        & (count[back] == 1)
+        & (count[np.searchsorted(ways, start * n + end)] == 1)
+    )
+    met &= start != end
+    one = np.flatnonzero(met & (np.arange(len(half)) < first[back]))
+    other = first[back[one]]
+    if not shell.flat:
+        from_, to = (shell.rest_points[shell.rest_triangles[place]] for place in ends)
+        apart = np.linalg.norm(np.hstack([from_[one] - to[other], to[one] - from_[other]]), axis=1)
+        close = apart <= SAME * np.linalg.norm(to[one] - from_[one], axis=1)
+        one, other = one[close], other[close]
+    if not len(one):
+        return topology, shell.clamped_edges
+    across, edge, sign = (
+        part.copy().ravel() for part in (topology.across, topology.triangle_edges, topology.signs)
+    )
+    across[half[one]], across[half[other]] = half[other], half[one]
+    stands = np.arange(len(topology.edges))
+    stands[edge[half[other]]] = edge[half[one]]
+    sign[half[other]] = -sign[half[one]]
+    kept, number = np.unique(stands, return_inverse=True)
+    shape = topology.across.shape
+    merged = Topology(
+        edges=topology.edges[kept],
+        triangle_edges=number[edge].astype(topology.triangle_edges.dtype).reshape(shape),
+        signs=sign.reshape(shape),
+        across=across.reshape(shape),
+    )
+    return merged, np.unique(number[shell.clamped_edges]).astype(np.int32)
 
 
 def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -73,6 +73,11 @@ class Shell:
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
     density: float = key(DENSITY, "mass density")
+    seam_bending: bool = key(
+        Boolean(),
+        "sewn edges whose ends are sewn vertex to vertex bend like the cloth; false: they turn freely",
+        default=False,
+    )
     seams: bool = key(Boolean(), "sew the mesh's stitch records", default=True)
 
 

@@ -27,6 +27,7 @@ from voile.tasks.progress import Progress
 from voile.wiring import static_mesh
 
 HOVERS = 1e-4  # sizes: gaps of contacts that bear
+LOOSE = 1e-3  # sizes: a sag of panels that their seams may be to blame for
 
 
 def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
@@ -63,6 +64,12 @@ def run_inverse(scene, model, folder: Path, comm, progress: Progress, began: flo
         model.notes.append(
             f"what bears in the target lies {sunk:.2g} to {hover:.2g} m off what it touches: simulations here keep the "
             "gaps, a scene of statics closes them"
+        )
+    loose = spec.developable == "panels" and not scene.shell.seam_bending
+    if model and loose and (report["sag"] or 1.0) > LOOSE:
+        model.notes.append(
+            "shell.seam_bending = false: the panels turn freely at their seams; true lets seams bend like the cloth, "
+            "and panels hang nearer to the target"
         )
     _write_result(scene, model, shell, folder, result, flat, comm)
     rest = time.perf_counter() - start - sum(result.seconds.values())
