@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 import time
 import traceback
@@ -207,11 +208,12 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was computed is kept
     task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
     try:
         failure = task(scene, model, folder, comm, progress, began)
-    except NotConverged as reason:
-        failure = str(reason)
+    except (NotConverged, KeyboardInterrupt) as reason:
+        failure = str(reason) or "stopped by a signal"
         summarise_refusal(scene, model, folder, failure)
     progress.line(f"results in {folder}")
     if failure:

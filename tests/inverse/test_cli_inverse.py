@@ -1,6 +1,7 @@
 """task = inverse through the command line: files, figures, ranks, and what is refused."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -273,6 +274,23 @@ def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, mpirun):
     assert done.returncode == 0, done.stderr
     with read_result(tmp_path / "out") as result:
         np.testing.assert_allclose(result.points(-1), draped, atol=1e-10)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_run_that_is_told_to_end_keeps_what_it_has(tmp_path, number):
+    hanging_cone(tmp_path, young=3e6, inverse='developable = "panels"\niterations = 500')
+    running = subprocess.Popen(
+        command(), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    for line in running.stdout:
+        if line.startswith("adjoint"):
+            break
+    running.send_signal(number)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 3 and "stopped by a signal; what was computed is kept" in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["converged"] is False and summary["reason"] == "stopped by a signal"
+    assert (tmp_path / "out" / "rest.obj").is_file()
 
 
 def test_given_seams_and_a_dart_make_the_panels(tmp_path):

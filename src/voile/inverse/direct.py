@@ -21,6 +21,7 @@ from voile.solver.newton import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step
+SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
 STAGNANT = 0.5  # of the norm: a smaller decrease where round-off may hide the rest is the last
 IDLE = 10  # of them without a smaller residual
 CYCLING = 2  # of them after which a step must lessen it
@@ -199,7 +200,7 @@ class Direct:
             if broken:
                 return broken, norm, it
             loads = target.load_norm(y)
-            if norm <= self.tolerance * loads:
+            if norm <= max(self.tolerance * loads, min(noise, SHARP * loads)):
                 return "", norm, it
             if near < math.inf and not norm < STAGNANT * near:
                 break
