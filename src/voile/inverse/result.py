@@ -118,8 +118,12 @@ class InverseResult:
         return f"kept is the rest shape at {self.direct.fraction:.4g} of the load"
 
     def _more(self) -> str:
-        cut_short = self.adjoint and self.adjoint.reason == REASON.DIVERGED_MAXITS
-        return "; more inverse.iterations may come nearer" if cut_short else ""
+        reason = self.adjoint.reason if self.adjoint else None
+        if reason == REASON.DIVERGED_MAXITS:
+            return "; more inverse.iterations may come nearer"
+        return (
+            "; the search ended where further steps win little" if reason == REASON.CONVERGED_STEPTOL else ""
+        )
 
     def _stays(self) -> bool:
         """Whether a simulation from the target ends in the answer that a search found beside it."""
