@@ -208,13 +208,15 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was computed is kept
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was computed is kept
     task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
     try:
         failure = task(scene, model, folder, comm, progress, began)
     except (NotConverged, KeyboardInterrupt) as reason:
         failure = str(reason) or "stopped by a signal"
         summarise_refusal(scene, model, folder, failure)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

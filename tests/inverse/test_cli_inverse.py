@@ -144,8 +144,7 @@ def test_a_rest_shape_is_kept_before_it_is_proved(on_a_rod, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(solve, "simulate", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        main(["run", str(on_a_rod / "scene.toml"), "-o", str(on_a_rod / "out")])
+    assert main(["run", str(on_a_rod / "scene.toml"), "-o", str(on_a_rod / "out")]) == 3
     rest, target = (read_mesh(on_a_rod / name).points for name in ("out/rest.obj", "target.obj"))
     assert 1e-6 < np.abs(rest - target).max() < 1e-3
     assert (on_a_rod / "out" / "pattern.dxf").stat().st_size > 1000
