@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inverse_shells import shell
+from inverse_shells import held_edges, shell
 from mpi4py import MPI
 
 from voile.inverse.adjoint import Objective
@@ -98,11 +98,15 @@ def test_metric_is_the_mean_square_of_the_strain():
     np.testing.assert_allclose(z.dot(out), 0.01**2 + 2.0 * 0.004**2 + still, rtol=1e-12)
 
 
-@pytest.mark.parametrize("bending", ["average", "tan", "sin", "theta"])
+@pytest.mark.parametrize(
+    "bending, clamp", [("average", False), ("tan", False), ("sin", False), ("theta", False), ("tan", True)]
+)
 @pytest.mark.parametrize("pieces", [1, 3])
-def test_sewn_panels_that_bend_at_seams_are_the_uncut_surface(bending, pieces):
+def test_sewn_panels_that_bend_at_seams_are_the_uncut_surface(bending, clamp, pieces):
     """The same equilibrium of a cone skirt as one surface and as panels, cut apart and sewn; free seams sag more."""
     whole, flat = cone_skirt(12, 4, pieces=pieces, bending=bending, young=1e6)
+    if clamp:
+        whole.clamped_edges = held_edges(whole)
     sewn = cut_apart(replace(whole, seam_bending=True), flat)
     free = cut_apart(whole, flat)
     assert len(sewn.topology.edges) == len(whole.topology.edges) < len(free.topology.edges)
@@ -116,3 +120,27 @@ def test_sewn_panels_that_bend_at_seams_are_the_uncut_surface(bending, pieces):
     for name, energy in ends[0][1].items():
         assert ends[1][1][name] == pytest.approx(energy, rel=1e-7, abs=1e-12)
     assert np.abs(ends[2][0][first] - ends[0][0]).max() > 1e-4
+
+
+def test_only_edges_that_two_panels_share_bend_at_seams():
+    """Not where the rest shape has its panels apart in space, nor where three layers are sewn along one edge."""
+    whole, flat = cone_skirt(12, 4, pieces=3)
+    free, sewn = (cut_apart(replace(whole, seam_bending=bends), flat) for bends in (False, True))
+    assert len(sewn.topology.edges) == len(free.topology.edges) - 3 * 4  # three seams of four edges
+    apart = replace(free, flat=False, seam_bending=True)
+    assert len(apart.topology.edges) == len(free.topology.edges)
+    strip, corners = (
+        np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1]], float),
+        [[0, 2, 1], [5, 6, 3]],
+    )
+    three = shell(
+        np.concatenate([strip, strip[:2], strip[:2]]),
+        np.array([*corners, [7, 8, 4]], dtype=np.int32),
+        np.zeros((9, 3), dtype=bool),
+        slave=np.array([5, 6, 7, 8], dtype=np.int32),
+        first=np.array([0, 1, 0, 1], dtype=np.int32),
+        second=np.array([0, 1, 0, 1], dtype=np.int32),
+        weight=np.zeros(4),
+        seam_bending=True,
+    )
+    assert len(three.topology.edges) == 9

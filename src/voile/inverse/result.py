@@ -1,6 +1,6 @@
 """What inverse design found: the rest shape with its proof, what to say of it, and its figures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
@@ -27,8 +27,8 @@ class InverseResult:
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
     the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`;
     simulation and disturbed: statics from the target and from beside it, `held` from the nearest answer, all to
-    `tolerance` of the loads' norm; seconds: of
-    the search (`inverse`) and of certificate and simulations (`proof`).
+    `tolerance` of the loads' norm; apart: sizes between the ends of the first two; seconds: of the search (`inverse`)
+    and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -47,9 +47,9 @@ class InverseResult:
     held: Simulation | None = None
     guess: np.ndarray | None = None
     tolerance: float = 0.0
+    apart: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """apart: sizes between the ends of the two simulations."""
         ends = self.simulation.path, self.disturbed.path
         both = ends[0].converged and ends[1].converged
         self.apart = distance(self.target, ends[1].state, ends[0].state) if both else 0.0

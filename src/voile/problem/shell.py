@@ -80,24 +80,19 @@ def _through_seams(shell: Shell) -> tuple[Topology, np.ndarray]:
     topology, n = shell.topology, len(shell.points)
     label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
     half = np.flatnonzero(topology.across.ravel() < 0)
-    row, side = half // 3, half % 3
-    ends = [(row, (side + 1) % 3), (row, (side + 2) % 3)]
+    ends = [(half // 3, (half + turn) % 3) for turn in (1, 2)]  # triangle and corner where it starts and ends
     start, end = (label[shell.triangles[place]].astype(np.int64) for place in ends)
-    ways, first, count = np.unique(start * n + end, return_index=True, return_counts=True)
-    back = np.searchsorted(ways, end * n + start)
-    back = np.where(back < len(ways), back, 0)
-    met = (
-        (ways[back] == end * n + start)
-        & (count[back] == 1)
-        & (count[np.searchsorted(ways, start * n + end)] == 1)
-    )
-    met &= start != end
-    one = np.flatnonzero(met & (np.arange(len(half)) < first[back]))
-    other = first[back[one]]
+    there, back = start * n + end, end * n + start
+    ways, first, count = np.unique(there, return_index=True, return_counts=True)
+    same, met = np.searchsorted(ways, there), np.minimum(np.searchsorted(ways, back), max(len(ways) - 1, 0))
+    # one that runs back along it and no second one either way: three layers do not bend as one edge
+    pairs = (ways[met] == back) & (count[met] == 1) & (count[same] == 1) & (start != end)
+    one = np.flatnonzero(pairs & (np.arange(len(half)) < first[met]))
+    other = first[met[one]]
     if not shell.flat:
-        from_, to = (shell.rest_points[shell.rest_triangles[place]] for place in ends)
-        apart = np.linalg.norm(np.hstack([from_[one] - to[other], to[one] - from_[other]]), axis=1)
-        close = apart <= SAME * np.linalg.norm(to[one] - from_[one], axis=1)
+        begins, stops = (shell.rest_points[shell.rest_triangles[place]] for place in ends)
+        apart = np.linalg.norm(np.hstack([begins[one] - stops[other], stops[one] - begins[other]]), axis=1)
+        close = apart <= SAME * np.linalg.norm(stops[one] - begins[one], axis=1)
         one, other = one[close], other[close]
     if not len(one):
         return topology, shell.clamped_edges
