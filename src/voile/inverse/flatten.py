@@ -18,6 +18,7 @@ from voile.mesh import boundary_loops, build_topology
 
 ITERATIONS = 500
 ROUND_OFF = 1e-13  # a Newton step of this share of the size changes nothing any more
+CURVED, SHORT = 1e-8, 1e-7  # energy per area of what is no isometry: such a last step is short enough
 NEAR = 1e-6  # decrement over energy scale below which the Hessian is taken as it is: quadratic convergence
 SHIFT = 1e-10  # relative to the Hessian's diagonal: makes it regular in rigid motions, which carry no force
 
@@ -74,6 +75,8 @@ def flatten_disc(points: np.ndarray, triangles: np.ndarray, name: str = "panel")
         length = float(abs(direction).max())
         # where the energy's round-off hides the decrease, full steps, as long as they get shorter
         if slope < 1e-12 * area.sum():
+            if value > CURVED * area.sum() and length < SHORT * size:
+                return x + direction
             if length <= ROUND_OFF * size or length > 0.5 * before:
                 return x + direction if length < before else x
             x, before, value = x + direction, length, energy.value(x + direction)
