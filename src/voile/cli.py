@@ -16,6 +16,7 @@ if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.
 
 from voile.errors import InputError, NotConverged, on_root
 
+STOPPED = "stopped by a signal"
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
@@ -208,15 +209,27 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was computed is kept
+    told: list[int] = []
+
+    def stop(number: int, _frame) -> None:
+        told.append(number)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
     task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
     try:
         failure = task(scene, model, folder, comm, progress, began)
     except (NotConverged, KeyboardInterrupt) as reason:
-        failure = str(reason) or "stopped by a signal"
+        failure = str(reason) or STOPPED
+        summarise_refusal(scene, model, folder, failure)
+    except Exception:  # newer PETSc loses what a callback raises
+        if not told:
+            raise
+        failure = STOPPED
         summarise_refusal(scene, model, folder, failure)
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
