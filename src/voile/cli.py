@@ -6,6 +6,8 @@ import signal
 import sys
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread per rank; before numpy loads its BLAS
@@ -16,7 +18,6 @@ if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.
 
 from voile.errors import InputError, NotConverged, on_root
 
-STOPPED = "stopped by a signal"
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
@@ -130,10 +131,10 @@ def _render(args: argparse.Namespace) -> None:
 
 
 def _export(args: argparse.Namespace) -> None:
-    from voile.post import export
+    from voile.post.export import PATTERNS, export
 
     folder = args.file if args.file.is_dir() else args.file.parent
-    name = "pattern" if args.to in ("svg", "dxf", "png") else "shape"
+    name = "pattern" if f".{args.to}" in PATTERNS else "shape"
     print(export(args.file, args.output or folder / f"{name}.{args.to}", args.step))
 
 
@@ -209,6 +210,22 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
+    task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
+    try:
+        with _stoppable():
+            failure = task(scene, model, folder, comm, progress, began)
+    except (NotConverged, KeyboardInterrupt) as reason:
+        failure = str(reason) or "stopped by a signal"
+        summarise_refusal(scene, model, folder, failure)
+    progress.line(f"results in {folder}")
+    if failure:
+        raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
+    return 0
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """SIGTERM and SIGINT end what runs within by KeyboardInterrupt."""
     told: list[int] = []
 
     def stop(number: int, _frame) -> None:
@@ -216,24 +233,15 @@ def _run(args: argparse.Namespace) -> int:
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
-    task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
     try:
-        failure = task(scene, model, folder, comm, progress, began)
-    except (NotConverged, KeyboardInterrupt) as reason:
-        failure = str(reason) or STOPPED
-        summarise_refusal(scene, model, folder, failure)
-    except Exception:  # newer PETSc loses what a callback raises
-        if not told:
-            raise
-        failure = STOPPED
-        summarise_refusal(scene, model, folder, failure)
+        yield
+    except Exception as other:
+        if told:  # newer PETSc loses what a callback raises
+            raise KeyboardInterrupt from other
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    progress.line(f"results in {folder}")
-    if failure:
-        raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
-    return 0
 
 
 def _load(args: argparse.Namespace):

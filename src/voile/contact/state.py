@@ -22,7 +22,7 @@ import numpy as np
 from voile.contact.equations import Equations, Linearised
 from voile.contact.kept import Kept
 from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, barrier, margin, outer, within
+from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, barrier, outer, within
 from voile.contact.partners import OnObstacle
 from voile.contact.self_contact import Candidates, OnItself
 
@@ -336,11 +336,6 @@ class Contact:
         """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
         g = p.geometry
         return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
-
-    def margin(self, p: Pairs) -> np.ndarray:
-        """(p,) share of friction's bound that the projected reaction leaves: see `margin`."""
-        normal, tangential = self.project(p)
-        return margin(p.steepness * normal, tangential, p.friction)
 
     def mismatch(self, x: np.ndarray, factor: float) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""

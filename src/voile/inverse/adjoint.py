@@ -150,21 +150,21 @@ class Objective:
         the first one is not found."""
         if self.at is not None and self.at.equal(z):
             return True
+        first = self.at is None
         try:
             self.design.set(z)
         except NotConverged:  # no developable shape is near
-            if self.at is None:
+            if first:
                 raise
             return False
         broken = self.target.bounds.broken(self.design)
         if broken:
-            if self.at is None:
+            if first:
                 raise NotConverged(f"adjoint method: where it starts, {broken}")
             return False
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:
             contact.state = self.began.copy()
-        first = self.at is None
         found = self.forward.solve(y) or (first and self.forward.search(self.start.copy(y)))
         if not (found and self._linearise(y)):
             if first:

@@ -25,10 +25,8 @@ MOST, SETTLED = 40, 1e-9  # iterations; change of the logarithms of the paramete
 STUCK = 1e-4  # the same of a step that should decrease the misfit and does not
 FARTHEST = np.log(4.0)  # change of a parameter in one iteration
 DAMPING, HARDEST = 0.1, 1e8  # of steps, over the diagonal: the first, and where none is left to try
-TRUSTED, POOR = (
-    0.75,
-    0.25,
-)  # decrease of the misfit over the model's: from which steps are damped less, or more
+# Decrease of the misfit over the model's from which steps are damped less, and under which more.
+TRUSTED, POOR = 0.75, 0.25
 DOUBLINGS = 3  # of a first guess of friction under which nothing holds
 NEARER = 0.9  # of the misfit: another branch
 DIFFERENCE = 1e-3  # of the logarithms in central differences
@@ -143,11 +141,9 @@ class Estimation:
             step = -np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
             step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
             there = self._simulate(p + step)
-            decrease = misfit - self._misfit(there) if there is not None else -np.inf
-            if decrease > 0.0:
-                gain = decrease / max(-2.0 * slope @ step - step @ gram @ step, 1e-300)
+            if there is not None and (left := self._misfit(there)) < misfit:
+                gain = (misfit - left) / max(-2.0 * slope @ step - step @ gram @ step, 1e-300)
                 damping *= 0.1 if gain > TRUSTED else 10.0 if gain < POOR else 1.0
-                assert there is not None
                 return (p + step, there), damping
             damping *= 10.0
         self._simulate(p)

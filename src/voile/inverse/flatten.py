@@ -159,7 +159,7 @@ class _Energy:
     """The symmetric Dirichlet energy of a disc's plane coordinates x (n, 2), in m^2."""
 
     def __init__(self, triangles: np.ndarray, gradient: np.ndarray, area: np.ndarray, count: int):
-        self.triangles, self.gradient, self.area, self.count = triangles, gradient, area, count
+        self.triangles, self.gradient, self.area = triangles, gradient, area
         rows = 2 * triangles[:, :, None] + np.arange(2)
         self.unknown = rows.reshape(-1, 6)  # of corner and axis
         size = 2 * count

@@ -346,9 +346,8 @@ def approach(
         if not search.beside.movable.sum():  # all of it touches
             return None
         place, reached = search.reach(path, first * search.beside.slow)
-        if reached and not margin:
-            return search.outcome(search.settled(search.confirm(place, stays)))
         if reached:
-            place, _ = search.advance(place, 1.0, margin * search.beside.slow)
+            wanted = margin * search.beside.slow
+            place = search.advance(place, 1.0, wanted)[0] if margin else search.confirm(place, stays)
             return search.outcome(search.settled(place))
     return None

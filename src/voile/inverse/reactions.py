@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 MOST = 300  # Newton iterations
-SOFTEST, HARDER = (
-    1e-10,
-    10.0,
-)  # damping over the mean of the first Hessian's diagonal; factor after a step that fails
+# Damping over the mean of the first Hessian's diagonal, the least; its factor after a step that fails.
+SOFTEST, HARDER = 1e-10, 10.0
 SHORTEST = 1e-14  # of lambda: no step
 HIDDEN = 1e-12  # relative, of the function: where round-off hides its fall the gradient has to
 FAR = 1e7  # |lambda| beyond which the reactions cannot balance the loads

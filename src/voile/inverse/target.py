@@ -264,7 +264,7 @@ class Target:
         for obstacle in self.obstacles:
             gap = np.minimum(gap, obstacle.gap(self.x, 0.0) - self.offset)
         gap[self.touching()] = 0.0  # as recorded
-        state = np.where(np.linalg.norm(reaction, axis=1) > 0.0, STICK, FREE).astype(np.uint8)
+        state = np.where(np.linalg.norm(reaction, axis=1) > 0.0, STICK, FREE)
         normal, left = self.margins()
         along = self._spread(normal[:, None] * self.cones.normal)
         least, friction = np.ones(len(self.x)), np.full(len(self.x), np.inf)

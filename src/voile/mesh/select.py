@@ -57,6 +57,8 @@ def inner_lines(
 ) -> np.ndarray:
     """(k, 2) vertices of the edges along lines, each through vertices of the input file (from 0) on the shortest ways
     over edges inside the surface. Raises InputError that names `where` (the key in the scene)."""
+    if not len(lines):
+        return np.zeros((0, 2), dtype=np.int64)
     inner = np.delete(topology.edges, topology.boundary_edges, axis=0)
     length = np.linalg.norm(np.diff(surface.points[inner], axis=1)[:, 0], axis=1)
     graph = sparse.csr_matrix((length, inner.T), shape=(len(surface.points),) * 2)
@@ -74,7 +76,7 @@ def inner_lines(
             while end != start:
                 edges.append((int(before[end]), end))
                 end = int(before[end])
-    return np.array(edges, dtype=np.int64).reshape(-1, 2)
+    return np.array(edges, dtype=np.int64)
 
 
 def _nodes(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:

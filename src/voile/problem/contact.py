@@ -9,6 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.obstacles import Obstacle
+from voile.contact.pairs import margin
 from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
@@ -109,8 +110,9 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
         kind = np.where(contact.slips(pairs), SLIP, STICK)
         state = np.maximum(state, -contact.least(pairs, bears, -kind))
         friction = np.minimum(friction, contact.least(pairs, bears, np.full(len(bears), pairs.friction)))
-        left = np.minimum(left, contact.least(pairs, bears, contact.margin(pairs)))
         normal, tangential = contact.project(pairs)
+        share = margin(pairs.steepness * normal, tangential, pairs.friction)
+        left = np.minimum(left, contact.least(pairs, bears, share))
         contact.collect(pairs, partial(pairs.spread, normal, 0.0 * tangential), along)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
     return cone_fields(
@@ -118,7 +120,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     )
 
 
-def cone_fields(reaction, gap, state, along, friction, margin) -> dict[str, np.ndarray]:
+def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, np.ndarray]:
     """The fields of `contact_fields`; friction is infinite where nothing bears."""
     return {
         "reaction": reaction,
@@ -126,7 +128,7 @@ def cone_fields(reaction, gap, state, along, friction, margin) -> dict[str, np.n
         "contact": state.astype(np.uint8),
         "normal_reaction": along,
         "friction": np.where(np.isfinite(friction), friction, 0.0),
-        "margin": margin,
+        "margin": left,
     }
 
 

@@ -56,16 +56,16 @@ class Shell:
     def __post_init__(self) -> None:
         self.topology = self.topology or build_topology(self.triangles)
         if len(self.slave):
+            label, _ = join(Stitches(self.slave, self.first, self.second, self.weight), len(self.points))
             if self.seam_bending:
-                self.topology, self.clamped_edges = _through_seams(self)
-            self.topology = _without_pockets(self)
+                self.topology, self.clamped_edges = _through_seams(self, label)
+            self.topology = _without_pockets(self, label)
 
 
-def _without_pockets(shell: Shell) -> Topology:
+def _without_pockets(shell: Shell, label: np.ndarray) -> Topology:
     """The topology with hinges opened whose two opposite vertices are sewn together (the tip of a dart): they stay
     folded flat whatever the shape, so they carry no bending."""
     topology = shell.topology
-    label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(shell.points))
     across = topology.across.ravel()
     opposite = shell.triangles.ravel()
     closed = (across >= 0) & (label[opposite] == label[opposite[np.maximum(across, 0)]])
@@ -74,11 +74,11 @@ def _without_pockets(shell: Shell) -> Topology:
     )
 
 
-def _through_seams(shell: Shell) -> tuple[Topology, np.ndarray]:
+def _through_seams(shell: Shell, label: np.ndarray) -> tuple[Topology, np.ndarray]:
     """The topology in which boundary edges that are sewn to one another at both ends are one, with one director, and
-    the clamped edges in its order. Where the rest shape is no plane pattern it must have them in one place, too."""
+    the clamped edges in its order. Where the rest shape is no plane pattern it must have them in one place, too. label
+    (n,): what each vertex is joined to."""
     topology, n = shell.topology, len(shell.points)
-    label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
     half = np.flatnonzero(topology.across.ravel() < 0)
     ends = [(half // 3, (half + turn) % 3) for turn in (1, 2)]  # triangle and corner where it starts and ends
     start, end = (label[shell.triangles[place]].astype(np.int64) for place in ends)
