@@ -15,9 +15,10 @@ from voile.elastic import model_name
 from voile.problem.discrete import Problem
 from voile.problem.scales import round_off
 from voile.problem.shell import Shell
-from voile.solver.newton import Newton
+from voile.solver.methods.method import Workspace
+from voile.solver.methods.steps import factor
 from voile.solver.path import StaticsOptions
-from voile.solver.statics import create_snes, solve_statics
+from voile.solver.statics import solve_statics
 
 
 def script():
@@ -120,18 +121,15 @@ def test_a_failed_factorisation_does_not_spoil_the_next():
         gravity=np.array([0.0, 0.0, -1e-3]),
     )  # fmt: skip
     problem = Problem(shell, MPI.COMM_SELF)
-    snes, newton = create_snes(problem, problem.create_matrix())
-    y = problem.create_vector()
-    assert isinstance(newton, Newton)
-    snes.setUp()
-    assert not newton._factor(snes, y, "exact") and not newton.usable
-    newton.shift = 1.0
-    assert newton._factor(snes, y, "exact") and newton.usable
+    work = Workspace(problem)
+    y, linear = problem.create_vector(), work.symmetric
+    assert factor(work, problem, y, "exact").negative and not linear.usable
+    assert not factor(work, problem, y, "exact", 1.0).negative and linear.usable
     right, found = y.duplicate(), y.duplicate()
     right.set(1.0)
-    snes.ksp.solve(right, found)
+    linear.solve(right, found)
     product = y.duplicate()
-    snes.getJacobian()[0].mult(found, product)
+    work.matrix.mult(found, product)
     product.axpy(-1.0, right)
     assert product.norm() <= 1e-12 * right.norm() and found.norm(PETSc.NormType.INFINITY) > 0.0
 

@@ -10,10 +10,13 @@ from voile.problem.constraints import build_constraints
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, hilbert_order
-from voile.solver.newton import negative_pivots
+from voile.solver.linear import negative_pivots
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.method import Workspace
+from voile.solver.methods.mixed_newton import MixedNewton
 from voile.solver.path import StaticsOptions
 from voile.solver.stability import factored, smallest_eigenpair
-from voile.solver.statics import create_snes, solve_statics
+from voile.solver.statics import solve_statics
 
 MODELS = ["koiter/tan/stvk", "koiter/average/neo-hookean", "discrete-shells//", "membrane//neo-hookean"]
 
@@ -189,14 +192,12 @@ def test_fast_steps_and_descent_find_the_same_equilibrium(model):
             ),
             MPI.COMM_SELF,
         )
-        snes, newton = create_snes(problem, problem.create_matrix())
-        newton.descend = not fast
+        method = (MixedNewton if fast else Descent)(Workspace(problem))
         y = problem.create_vector()
-        snes.setTolerances(rtol=0.0, atol=1e-5 * problem.load_norm(y), stol=0.0, max_it=300)
-        snes.solve(None, y)
+        snes = method.nonlinear.snes
+        method.solve(problem, y, 1e-5 * problem.load_norm(y))
         assert snes.getConvergedReason() > 0
         found.append((problem.energy(y), problem.local(y)[0], snes.getIterationNumber()))
-        snes.destroy()
     assert abs(found[0][0] - found[1][0]) < 1e-7 * abs(found[0][0])
     assert abs(found[0][1] - found[1][1]).max() < 1e-5
     assert found[0][2] < 15

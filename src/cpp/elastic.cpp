@@ -196,7 +196,7 @@ class ElasticModel final : public Elastic {
       for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
       if (safe) {
         project_positive<Model::bends ? 6 : 3>(jet.h);
-        for (auto& t : tension) t = max(t, Real(0.0));
+        keep_tensile(w.q.l, w.t.twice_area, tension);
       }
       if constexpr (Model::bends) {
         if (!safe) {
@@ -333,6 +333,20 @@ class ElasticModel final : public Elastic {
   void rest_jacobian(double* jacobian) override {
     for (size_t b = 0; b < blocks.size(); ++b)
       store_jacobian<Model>(rest_blocks[b], rest_local(b), !rest_flat, false, jacobian);
+  }
+
+  bool folds_over(State before, State after) override {
+    constexpr double closed = 1e-3;  // cosine of half a hinge's angle, 0.1 degrees from 180
+    if constexpr (Model::bends)
+      for (const Block& block : blocks) {
+        Local a = local(block, before), b = local(block, after);
+        for (int i = 0; i < 3; ++i)
+          for (int lane = 0; lane < block.count; ++lane) {
+            double from = a.q.c[i][lane], to = b.q.c[i][lane];
+            if (from > closed && from * to + a.q.s[i][lane] * b.q.s[i][lane] <= 0.0) return true;
+          }
+      }
+    return false;
   }
 
   void invariants(State state, double* lengths, double* angles) override {

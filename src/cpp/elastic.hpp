@@ -81,6 +81,10 @@ class Elastic {
   // Per triangle: the six invariants l (m, 3), alpha (m, 3).
   virtual void invariants(State state, double* lengths, double* angles) = 0;
 
+  // Whether some hinge turns through 180 degrees on the way between two states. Those within 0.1 degrees of
+  // it at the start do not count: it is not known on which side they are.
+  virtual bool folds_over(State before, State after) = 0;
+
   virtual bool bends() const = 0;
   virtual bool directors() const = 0;
 };

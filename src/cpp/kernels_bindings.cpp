@@ -131,6 +131,10 @@ static void bind_model(nb::module_& m) {
            })
       .def("predict", [](Model& s, Doubles u, Doubles phi, Doubles du,
                          Doubles dphi) { s.elastic->predict(s.state(u, phi), s.state(du, dphi)); })
+      .def("folds_over",
+           [](Model& s, Doubles u, Doubles phi, Doubles moved_u, Doubles moved_phi) {
+             return s.elastic->folds_over(s.state(u, phi), s.state(moved_u, moved_phi));
+           })
       .def("turn_gradient",
            [](Model& s, Doubles u, Doubles phi, Doubles weight, Output g) {
              s.elastic->turn_gradient(s.state(u, phi), sized(weight, 3 * s.count(), "weights"),

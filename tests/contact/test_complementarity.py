@@ -10,7 +10,7 @@ from voile.errors import InputError
 from voile.problem.contact import attach, contact_report
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
-from voile.solver.complementarity import OPTION
+from voile.solver.methods.complementarity import OPTION
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -62,7 +62,7 @@ def reference():
 def test_snesvi_finds_the_same_equilibrium(reference, method):
     path, problem = lifted_strip()
     positions, report = reference
-    assert path.converged and path.steps[-1].way == method
+    assert path.converged and path.steps[-1].method == method
     assert np.abs(problem.positions(path.state) - positions).max() < 1e-8 * LENGTH
     found = contact_report(problem, path.state)
     assert found["active"] == report["active"] > 30

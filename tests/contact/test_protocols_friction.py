@@ -67,7 +67,7 @@ def test_stick_slip(friction):
     assert slip.path.converged and slip.path.stable, slip.path.reason
     assert slip.before > 0.99 * expected and slip.after < 1.01 * expected
     assert slip.after - slip.before < 0.002 * expected
-    assert any(step.way.startswith("snap") for step in slip.path.steps)
+    assert any(step.method.startswith("snap") for step in slip.path.steps)
 
 
 def test_long_steps_do_not_leave_the_branch():
@@ -76,7 +76,7 @@ def test_long_steps_do_not_leave_the_branch():
     slip = protocols.lowered_strip(0.5, 0.304, 40, 32)
     assert slip.path.converged and slip.path.stable, slip.path.reason
     assert np.isnan(slip.after) and np.isnan(slip.landed)
-    assert not any(step.way.startswith("snap") for step in slip.path.steps)
+    assert not any(step.method.startswith("snap") for step in slip.path.steps)
 
 
 @pytest.mark.parametrize("steps", [1, 4, 10])

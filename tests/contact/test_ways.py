@@ -7,9 +7,8 @@ import pytest
 from voile.contact.obstacles import Box, Plane
 from voile.problem.contact import attach
 from voile.problem.discrete import Problem
-from voile.solver.quasistatic import Pace
-from voile.solver.semismooth import Semismooth
-from voile.solver.ways import Base
+from voile.solver.methods.semismooth import Iterate
+from voile.solver.stepping.control import StepControl
 
 
 def test_a_place_is_the_same_from_another_base():
@@ -17,15 +16,15 @@ def test_a_place_is_the_same_from_another_base():
     problem = Problem(protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0))
     attach(problem, [Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)], 0.0)
     contact, rng = problem.contact, np.random.default_rng(2)
-    base, y = Base(problem, contact), problem.create_vector()
+    y = problem.create_vector()
     y.array[:] = rng.normal(size=len(y.array_r))
     contact.state.normal[0][:] = 1.0
-    place, x = base.here(y), problem.positions(y)
+    place, x = problem.save(y), problem.positions(y)
     y.array[:] += 1e-3 * rng.normal(size=len(y.array_r))
-    base.move(y)
+    problem.rebase(y)
     assert y.norm() == 0.0 and np.abs(problem.positions(y) - x).max() > 1e-4
     contact.state.normal[0][:] = 2.0
-    base.put(y, place)
+    problem.restore(y, place)
     assert np.abs(problem.positions(y) - x).max() < 1e-14
     assert (contact.state.normal[0] == 1.0).all()
 
@@ -37,14 +36,14 @@ def test_what_is_in_equilibrium_stays_where_a_singular_tangent_leads_away(monkey
     floor = Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)
     path, problem = protocols.solve(shell, floor)
     assert path.converged
-    monkeypatch.setattr(Semismooth, "_direction", lambda self, *args: args[-1].set(step))
+    monkeypatch.setattr(Iterate, "_direction", lambda self, *args: args[-1].set(step))
     again, problem = protocols.solve(shell, floor, history=problem)
     assert again.converged and again.steps[-1].residual <= again.steps[-1].tolerance
     assert np.abs(problem.positions(again.state) - points).max() < 1e-12
 
 
 def test_all_of_the_load_is_next_where_a_part_of_it_fails():
-    pace = Pace(0.1, 2)
+    pace = StepControl(0.1, 2)
     pace.done(20, 0.01, False)
     assert pace.target == pytest.approx(0.2)
     pace.whole()
@@ -75,7 +74,7 @@ def test_a_strip_does_not_fall_through_the_bench_that_it_lies_on(friction, steps
 
 
 def test_a_shell_that_snaps_on_and_on_takes_whole_steps_until_it_is_quiet():
-    pace = Pace(0.1, 2)
+    pace = StepControl(0.1, 2)
     for _ in range(4):
         assert not pace.shortest
         pace.done(20, 0.01, True)

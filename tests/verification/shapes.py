@@ -12,7 +12,7 @@ from shells import Row, line_force, make, mapped, row, solve
 
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
-from voile.solver.newton import negative_pivots
+from voile.solver.linear import negative_pivots
 from voile.solver.stability import factored
 
 YOUNG, DENSITY = 1e6, 1000.0  # Pa; kg/m^3 as `make` sets it

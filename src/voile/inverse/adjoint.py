@@ -22,10 +22,10 @@ from voile.inverse.target import Target
 from voile.inverse.verify import Simulation, sag, simulate
 from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest, RestShape
-from voile.solver.frictional import FrictionalSolver
-from voile.solver.newton import negative_pivots
+from voile.solver.equilibrium import Solver
+from voile.solver.linear import negative_pivots
 from voile.solver.path import StaticsOptions, tolerance
-from voile.solver.statics import create_snes, solve_statics
+from voile.solver.statics import solve_statics
 
 PATIENCE = 200  # Newton iterations of one equilibrium
 FIRST_RADIUS = 2e-3  # of the trust region: root mean square of the rest shape's change over the size
@@ -82,9 +82,7 @@ class Forward:
     def __init__(self, problem: Problem, accuracy: float):
         """accuracy: residual over the loads' norm."""
         self.problem, self.options = problem, StaticsOptions(tolerance=accuracy)
-        self.snes, self.newton = create_snes(problem, problem.create_matrix())
-        self.contact = FrictionalSolver(problem, self.snes, self.newton) if problem.contact else None
-        self.solves = 0
+        self.solver, self.solves = Solver(problem, self.options), 0
 
     def solve(self, y: PETSc.Vec) -> bool:
         """y moves to an equilibrium that descent reaches from it; False where it does not."""
@@ -92,15 +90,11 @@ class Forward:
         self.solves += 1
         problem.load_factor = 1.0
         wanted = tolerance(problem, y, self.options)
-        if self.contact:
-            found = self.contact.solve(y, wanted, 2).converged
+        if problem.contact:
+            found = self.solver.solve(y, wanted, last_resort=False).converged
             problem.unbase(y)
             return found
-        self.newton.descend = True
-        self.snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=PATIENCE)
-        self.snes.setFromOptions()
-        self.snes.solve(None, y)
-        return self.snes.getConvergedReason() > 0
+        return self.solver.descent.run(problem, y, wanted, PATIENCE)
 
     def search(self, y: PETSc.Vec) -> bool:
         """y moves to the equilibrium that statics find from it by all means; False where they do not."""
@@ -292,8 +286,7 @@ def minimise(
             tao.solve()
             path.reason = tao.getConvergedReason()
         finally:
-            tao.destroy()
-            objective.forward.snes.destroy()  # both call back to what holds them
+            tao.destroy()  # calls back to what holds it
     path.trail = objective.trail
     path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
     design.set(path.rest)

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.scales import force_floor
-from voile.solver.newton import factorisation_error, negative_pivots
+from voile.solver.linear import factorisation_error, negative_pivots
 from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step

@@ -18,7 +18,7 @@ from slepc4py import SLEPc
 from voile.inverse.direct import Direct
 from voile.problem.rest import rest_areas
 from voile.problem.scales import slow_rate
-from voile.solver.newton import add_mass, factorisation_error, use_cholesky
+from voile.solver.linear import add_mass, factorisation_error, use_cholesky
 
 CUT = 30.0  # slow rates above the margin under which modes are known
 MODES = 12  # at most

@@ -14,7 +14,7 @@ from voile.problem.contact import attach
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.shell import Shell
-from voile.solver.newton import use_cholesky
+from voile.solver.linear import use_cholesky
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 

@@ -53,7 +53,7 @@ def _tree(summary: dict[str, Any], indent: str) -> list[str]:
         elif key == "obstacles":
             lines += [f"{indent}{o['name']:24s} {_totals(o)}" for o in value]
         else:
-            if key == "ways":
+            if key in ("method", "ways"):  # "ways" before version 0.2
                 value = [f"{way} {count}" for way, count in Counter(value).items()]
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
             lines.append(f"{indent}{key:24s} {shown}")

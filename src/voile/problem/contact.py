@@ -15,6 +15,7 @@ from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 
+SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
@@ -168,6 +169,18 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
             for o, t in zip(contact.obstacles, totals, strict=True)
         ],
     }
+
+
+def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.ndarray) -> bool:
+    """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
+    present one, leads a vertex through an obstacle."""
+    farthest = float(np.linalg.norm(after - before, axis=1).max(initial=0.0))
+    farthest = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+    shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
+    inside = contact_of(problem).inside_on_the_way(
+        before, began, after, problem.load_factor, shares, problem.size()
+    )
+    return not problem.everywhere(not inside.any())
 
 
 def contact_of(problem: Problem) -> Contact:

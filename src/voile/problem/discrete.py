@@ -1,5 +1,6 @@
 """The discrete problem on PETSc's layout: potential, residual and tangent of a distributed shell."""
 
+import copy
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,14 +9,14 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile import _kernels
 from voile.contact.state import Contact
-from voile.problem.anchor import Anchor
-from voile.problem.follower import pressure_energy, pressure_force
+from voile.problem.elastic import has_directors, make_kernel
+from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
-from voile.problem.moments import EndMoments
-from voile.problem.partition import distribute
+from voile.problem.partition import bounding_size, distribute
 from voile.problem.shell import Shell
+from voile.problem.state import State
+from voile.problem.terms import AugmentedContact, Inertia, Point, Term, mass_blocks
 
 ENERGIES = ("stretching", "bending", "gravity", "pressure", "force")
 
@@ -42,69 +43,60 @@ class Problem:
                 shell.flat,
                 follower,
             )
-        self.model, self.gravity, self.pressure, flat, follower = comm.bcast(settings)
+        self.model, gravity, pressure, flat, follower = comm.bcast(settings)
         self.conservative = not follower
-        probe = _kernels.Elastic(self.model, *_single_triangle())
-        self.directors = probe.directors
+        self.directors = has_directors(self.model)
         self.part = part = distribute(shell, self.directors, comm)
-        self.moments = EndMoments(part) if part.moment.any() else None
+        self.loads = Loads(part, gravity, pressure)
         self.load_factor = 1.0
         self.contact: Contact | None = None
-        self.anchor: Anchor | None = None
+        self.inertia: Inertia | None = None
         self.monitor: Callable[[float, int, float], None] | None = None
         self.seconds = {"assembly": 0.0}
         self._size = (3 * len(part.vertex), len(part.edge))
         self.flat = flat
-        self.kernel = self._make_kernel(part.points)
+        self.kernel = make_kernel(part, self.model, part.points, flat)
         self._base = np.zeros(self._size[0])  # displacements at the last `rebase`
         self._gap, self._base_factor, self._rebased = part.gap.copy(), 0.0, False
         self._collect = part.matrix.T.tocsr()[: part.owned]
-        self._vertex_force = self._weights()
-        self.own = np.zeros(len(part.vertex), dtype=bool)
-        self.own[part.owned_vertices] = True
+        self.own = self.loads.own
         axes = comm.allreduce(part.fixed[: 3 * len(part.vertex)].reshape(-1, 3).any(axis=0).astype(int))
         self.held, self.supported = bool(axes.any()), bool(axes.all())
         self.moves = bool(comm.allreduce(bool(part.lift.any()), op=MPI.LOR))
-        self._length = self._measure()
+        self._length = bounding_size(part.points, comm)
         self._make_vectors()
+        self.origin = self.create_vector()  # unknowns of the shape that displacements are counted from
         self._assembly = Assembly(part, self.directors, comm)
-
-    def _make_kernel(self, start: np.ndarray) -> _kernels.Elastic:
-        """The elastic model with displacements that count from `start` (local vertices, 3)."""
-        part = self.part
-        kernel = _kernels.Elastic(
-            self.model,
-            part.corners,
-            part.triangle_edges,
-            part.signs,
-            part.across,
-            len(part.edge),
-            np.ascontiguousarray(start),
-        )
-        clamp = part.half_edge_clamp
-        if len(clamp):
-            half_edge, conormal, at_rest = np.ascontiguousarray(clamp[:, :3].astype(np.int32).T)
-            kernel.set_clamps(half_edge, conormal, at_rest, np.ascontiguousarray(clamp[:, 3:]))
-        kernel.set_rest(part.rest_points, part.rest_corners, self.flat)
-        kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
-        kernel.set_weights(part.weight)
-        return kernel
 
     def set_rest(self, points: np.ndarray, flat: bool = False) -> None:
         """Another rest shape (local rest vertices, 3) m, flat without folds, and the masses that it has."""
         self.part.set_rest(points)
         self.flat = flat
         self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
-        self._vertex_force = self._weights()
+        self.loads.weigh()
 
-    def _weights(self) -> np.ndarray:
-        """(local dofs,) gravity at load factor 1 (N)."""
-        weight = np.zeros(sum(self._size))
-        weight[: self._size[0]] = (self.part.mass[: self._size[0]].reshape(-1, 3) * self.gravity).ravel()
-        return weight
+    # ---- states ----
+
+    def save(self, y: PETSc.Vec) -> State:
+        """The state with the unknowns y and what contact remembers now."""
+        history = self.contact.state.copy() if self.contact else None
+        return State(y.copy(), self.origin.copy(), history)
+
+    def unknowns_of(self, state: State) -> PETSc.Vec:
+        """Those of a state, counted from the present origin."""
+        y = state.unknowns.copy()
+        y.axpy(1.0, state.origin)
+        y.axpy(-1.0, self.origin)
+        return y
+
+    def restore(self, y: PETSc.Vec, state: State) -> None:
+        """y and what contact remembers become those of a state."""
+        self.unknowns_of(state).copy(y)
+        if self.contact and state.history:
+            self.contact.state = state.history.copy()
 
     def rebase(self, y: PETSc.Vec) -> None:
-        """Counts displacements from the shape at y on; the unknowns of any state are then less by y, those of y zero.
+        """Counts displacements from the shape at y on; y becomes zero.
 
         Stored as numbers near zero, displacements keep the digits that they lose when they are large, and with
         them the membrane forces of a stiff shell that has moved far.
@@ -113,7 +105,11 @@ class Problem:
         self._rebased = True
         self._base += u
         self._gap, self._base_factor = np.concatenate([np.zeros_like(u), phi]), self.load_factor
-        self.kernel = self._make_kernel(self.part.points + self._base.reshape(-1, 3))
+        self.kernel = make_kernel(
+            self.part, self.model, self.part.points + self._base.reshape(-1, 3), self.flat
+        )
+        self.origin.axpy(1.0, y)
+        y.set(0.0)
 
     def unbase(self, y: PETSc.Vec) -> None:
         """Takes `rebase` back: y, and any state from now on, counts displacements from the start shape again."""
@@ -123,7 +119,8 @@ class Problem:
         dofs = np.concatenate(self.local(y)) - self.part.gap - self.load_factor * self.part.lift
         self._base[:] = 0.0
         self._gap, self._base_factor = self.part.gap.copy(), 0.0
-        self.kernel = self._make_kernel(self.part.points)
+        self.kernel = make_kernel(self.part, self.model, self.part.points, self.flat)
+        self.origin.set(0.0)
         single = np.flatnonzero(np.diff(self.part.matrix.indptr) == 1)
         column = self.part.matrix.indices[self.part.matrix.indptr[single]]
         own = column < self.part.owned
@@ -172,40 +169,54 @@ class Problem:
 
     # ---- potential, residual, tangent ----
 
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What adds to elasticity and loads."""
+        contact = (AugmentedContact(self.contact),) if self.contact else ()
+        return (self.inertia, *contact) if self.inertia else contact
+
+    def with_inertia(self, coefficient: float, predicted: np.ndarray) -> "Problem":
+        """The same problem with an inertia term (see Inertia): one implicit step in time."""
+        other = copy.copy(self)
+        other.inertia = Inertia(self.vertex_mass(), self.own, coefficient, predicted)
+        return other
+
+    def inertia_norm(self, y: PETSc.Vec) -> float:
+        """Norm of the inertia term's forces on the unknowns (N)."""
+        if not self.inertia:
+            return 0.0
+        forces = np.zeros(sum(self._size))
+        forces[: self._size[0]] = self.inertia.force(Point(self.positions(y), self.load_factor)).ravel()
+        return self.norm(self._collect @ forces)
+
     def energies(self, y: PETSc.Vec) -> dict[str, float]:
-        """Parts of the potential (J)."""
+        """Parts of the potential of elasticity and loads (J)."""
         u, phi = self._shape(y)
         with self._timed():
             stretching, bending = self.kernel.energy(u, phi)
-        own = np.zeros(len(ENERGIES))
-        own[:2] = stretching, bending
-        factor, rows = self.load_factor, self.own_dofs()
-        own[2] = -factor * np.dot(self._vertex_force[: len(u)] * rows, self._base + u)
-        if self.pressure:
-            own[3] = factor * pressure_energy(self._positions(u), self.part, self.pressure)
-        own[4] = -factor * np.dot(self.part.force[: len(u)] * rows, self._base + u)
+        loads = self.loads.energies(self._base + u, self._positions(u), self.load_factor)
+        own = np.array([stretching, bending, *(loads[name] for name in ENERGIES[2:])])
         return dict(zip(ENERGIES, self.comm.allreduce(own) + 0.0, strict=True))  # + 0.0: not -0.0
 
     def energy(self, y: PETSc.Vec) -> float:
-        """The potential (J), with those of contact and of the pull towards the anchor."""
+        """The potential (J), with that of all terms."""
         total = float(sum(self.energies(y).values()))
-        if self.contact:
-            total += self.comm.allreduce(self.contact.energy(self.positions(y), self.load_factor))
-        if self.anchor:
-            total += self.comm.allreduce(self.anchor.energy(y))
+        if self.terms:
+            at = Point(self.positions(y), self.load_factor)
+            total += self.comm.allreduce(sum(term.energy(at) for term in self.terms))
         return total
 
     def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: np.ndarray | None = None) -> None:
         """Writes the gradient of the potential (N; N m for directors) to f. reactions (local vertices, 3): contact
         forces on the shell (N) in place of the potential's own."""
         forces = self._forces(y)
-        if self.contact and reactions is None:
-            reactions = self.contact.force(self.positions(y), self.load_factor, frozen=True)
-        if reactions is not None:
+        at = Point(self.positions(y), self.load_factor)
+        for term in self.terms:
+            given = reactions is not None and isinstance(term, AugmentedContact)
+            forces[: self._size[0]] -= (reactions if given else term.force(at)).ravel()
+        if reactions is not None and not self.contact:
             forces[: self._size[0]] -= reactions.ravel()
         f.array[:] = self._collect @ forces
-        if self.anchor:
-            f.array[:] += self.anchor.pull(y)
 
     def _forces(self, y: PETSc.Vec) -> np.ndarray:
         """Gradient of the potential in all local dofs; complete for those of this rank."""
@@ -217,12 +228,7 @@ class Problem:
 
     def _loads(self, u: np.ndarray) -> np.ndarray:
         """External forces on all local dofs; complete for those of this rank."""
-        total = self.load_factor * (self._vertex_force + self.part.force)
-        if self.pressure:
-            total[: len(u)] += self.load_factor * pressure_force(self._positions(u), self.part, self.pressure)
-        if self.moments:
-            total += self.load_factor * self.moments.forces(self.kernel, u)
-        return total
+        return self.loads.forces(self.kernel, u, self._positions(u), self.load_factor)
 
     def load_norm(self, y: PETSc.Vec) -> float:
         """Norm of the external forces on the unknowns (N)."""
@@ -243,34 +249,34 @@ class Problem:
         return (self._forces(y)[: self._size[0]] * held).reshape(-1, 3)
 
     def tangent(
-        self, y: PETSc.Vec, matrix: PETSc.Mat, kind: str = "exact", contact: Blocks | None = None
+        self,
+        y: PETSc.Vec,
+        matrix: PETSc.Mat,
+        kind: str = "exact",
+        contact: Blocks | None = None,
+        shift: float = 0.0,
     ) -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). contact: what contact
-        adds, in place of the potential's own."""
+        adds, in place of the potential's own; shift (1/s^2): a multiple of the mass C^T M C to add."""
         PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
         u, phi = self._shape(y)
-        if self.contact and contact is None:
-            contact = self.contact.blocks(self._positions(u), self.load_factor, kind == "safe")
-        contact = list(contact or ())
+        positions, safe = self._positions(u), kind == "safe"
+        at, blocks = Point(positions, self.load_factor), list(contact or ())
+        for term in self.terms:
+            if contact is None or not isinstance(term, AugmentedContact):
+                blocks += term.blocks(at, safe)
+        if shift:
+            blocks.append(mass_blocks(self.vertex_mass(), shift))
         likely = self.contact.state.candidates.vertex if self.contact else None
-        self._assembly.prepare(matrix, self.kernel, contact, likely)
-        if self.moments:
-            self.kernel.set_turn_weights(-self.load_factor * self.part.moment)
-            self.moments.linearise(self._positions(u))
+        self._assembly.prepare(matrix, self.kernel, blocks, likely)
+        self.loads.begin_hessian(self.kernel, positions, self.load_factor)
         with self._timed():
             self.kernel.hessian(u, phi, kind, self._assembly.scatter)
-            if self.pressure and kind != "safe":
-                _kernels.add_pressure_hessian(
-                    self._assembly.scatter,
-                    self.part.corners,
-                    self._positions(u),
-                    -self.load_factor * self.pressure,
-                )
-            self._assembly.add(matrix, contact)
+            if not safe:
+                self.loads.add_hessian(self._assembly.scatter, positions, self.load_factor)
+            self._assembly.add(matrix, blocks)
             matrix.assemble()
-        if self.anchor:
-            self.anchor.add_to(matrix)
 
     def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks = ()) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
@@ -303,9 +309,9 @@ class Problem:
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
         """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is
         symmetric: the skew part of end moments."""
-        motion = np.concatenate(self._spread(direction))
-        if self.moments:
-            f.array[:] -= self.load_factor * (self._collect @ self.moments.skew_forces(motion))
+        skew = self.loads.skew_forces(np.concatenate(self._spread(direction)), self.load_factor)
+        if skew is not None:
+            f.array[:] -= self._collect @ skew
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""
@@ -313,35 +319,52 @@ class Problem:
         du, dphi = self._spread(direction)
         self.kernel.predict(u, phi, du, dphi)
 
+    def vertex_mass(self) -> np.ndarray:
+        """(local vertices,) lumped mass (kg)."""
+        return self.part.mass[: self._size[0] : 3]
+
     def mass(self) -> PETSc.Vec:
-        """Diagonal lumped mass of the unknowns (kg; kg m^2 for directors), seams included."""
+        """Diagonal of the lumped mass of the unknowns (kg; kg m^2 for directors): a metric for directions. What acts
+        as mass is C^T M C (`mass_matrix`), which differs from it where vertices are sewn with weights."""
         vector = self.create_vector()
         weights = self._collect.copy()
         weights.data **= 2
         vector.array[:] = weights @ self.part.mass
         return vector
 
+    def mass_matrix(self) -> PETSc.Mat:
+        """C^T M C (kg; kg m^2 for directors), with the tangent's pattern."""
+        matrix = self.create_matrix()
+        still = np.zeros((len(self.part.corners), 21, 21))
+        self.assemble(matrix, still, [mass_blocks(self.vertex_mass(), 1.0)])
+        rotary = self.create_vector()
+        count = self._size[0]
+        rotary.array[:] = self._collect[:, count:] @ self.part.mass[count:]
+        matrix.setDiagonal(rotary, addv=PETSc.InsertMode.ADD_VALUES)
+        return matrix
+
     def motion(self, direction: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) displacements (m) of a direction of the unknowns."""
         return self._spread(direction)[0].reshape(-1, 3)
-
-    def mean_motion(self, direction: PETSc.Vec) -> np.ndarray:
-        """(3,) mean displacement (m) of a direction of the unknowns."""
-        own = self.motion(direction)[self.own]
-        total = self.comm.allreduce(np.array([*own.sum(axis=0), len(own)]))
-        return total[:3] / total[3]
 
     def norm(self, own: np.ndarray) -> float:
         """Norm of a vector of unknowns given by each rank's own."""
         return float(np.sqrt(self.comm.allreduce(float(own @ own))))
 
-    def free_share(self, y: PETSc.Vec, direction: PETSc.Vec) -> float:
-        """Share of a step along a direction of the unknowns on which no layer of the shell passes through another, at
-        most 1."""
-        if not (self.contact and self.contact.itself):
-            return 1.0
-        x = self.positions(y)
-        return self.comm.allreduce(self.contact.free_share(x, x + self.motion(direction)), op=MPI.MIN)
+    def longest_step(self, y: PETSc.Vec, direction: PETSc.Vec) -> float:
+        """Share of a step along a direction of the unknowns, at most 1, that all terms admit (no layer of the shell
+        passes through another) and on which no hinge turns through 180 degrees; 0 where even a millionth does."""
+        u, phi = self._shape(y)
+        du, dphi = self._spread(direction)
+        share = 1.0
+        if self.contact and self.contact.itself:
+            at, motion = Point(self._positions(u), self.load_factor), du.reshape(-1, 3)
+            share = self.comm.allreduce(min(t.longest_step(at, motion) for t in self.terms), op=MPI.MIN)
+        while not self.everywhere(not self.kernel.folds_over(u, phi, u + share * du, phi + share * dphi)):
+            share *= 0.5
+            if share < 1e-6:
+                return 0.0
+        return share
 
     def everywhere(self, here: bool) -> bool:
         """Whether something holds on all ranks."""
@@ -366,16 +389,11 @@ class Problem:
 
     def weight_force(self) -> np.ndarray:
         """(local dofs,) gravity at load factor 1 (N)."""
-        return self._vertex_force
+        return self.loads.weight
 
     def size(self) -> float:
         """Diagonal of the start shape's bounding box (m)."""
         return self._length
-
-    def _measure(self) -> float:
-        points = np.concatenate([self.part.points, -self.part.points], axis=1)
-        outermost = self.comm.allreduce(points.max(axis=0, initial=-np.inf), op=_maximum)
-        return float(np.linalg.norm(outermost[:3] + outermost[3:]))
 
     def positions(self, y: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) positions of unknowns y (m)."""
@@ -385,16 +403,14 @@ class Problem:
         return self.part.points + (self._base + u).reshape(-1, 3)
 
 
-def _maximum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.maximum(a, b)
-
-
 def _free_rim(shell: Shell) -> bool:
     """Whether some boundary vertex can move."""
     rim = shell.topology.edges[shell.topology.boundary_edges]
     return bool(len(rim)) and not bool(shell.fixed[rim].all())
 
 
-def _single_triangle():
-    corners = np.arange(3, dtype=np.int32)[None]
-    return corners, corners, np.ones_like(corners), np.full((1, 3), -1, dtype=np.int32), 3, np.eye(3)
+def difference(a: PETSc.Vec, b: PETSc.Vec) -> PETSc.Vec:
+    """a - b."""
+    result = a.duplicate()
+    result.waxpy(-1.0, b, a)
+    return result

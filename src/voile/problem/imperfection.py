@@ -31,7 +31,7 @@ def disturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
     """Moves a start of a descent off symmetry by more than round-off does; perturbation in m."""
     small = imperfection(problem, problem.positions(y))
     small.scale(SMALL * perturbation)
-    y.axpy(problem.free_share(y, small), small)
+    y.axpy(problem.longest_step(y, small), small)
 
 
 def _normals(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -249,3 +249,14 @@ def gathered(problem, local):
     for index, values in pieces:
         total[index] = values
     return total
+
+
+def bounding_size(points: np.ndarray, comm: MPI.Comm) -> float:
+    """Diagonal (m) of the bounding box of all ranks' points (n, 3)."""
+    outermost = np.concatenate([points, -points], axis=1).max(axis=0, initial=-np.inf)
+    outermost = comm.allreduce(outermost, op=_maximum)
+    return float(np.linalg.norm(outermost[:3] + outermost[3:]))
+
+
+def _maximum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.maximum(a, b)

@@ -55,7 +55,7 @@ class RestDerivative:
         thickness, _, _, density = part.fabric
         per_area = problem.load_factor * thickness * density / 3.0
         self.masses = per_area[:, None] * rest_areas(part)[1].reshape(-1, 9)
-        self.gravity = np.tile(problem.gravity, 3)
+        self.gravity = np.tile(problem.loads.gravity, 3)
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -143,7 +143,7 @@ class RestShape:
         if name in ("thickness", "density"):
             thickness, _, _, density = part.fabric
             share = rest_areas(part)[0] / 3.0 * (density if name == "thickness" else thickness)
-            local[:, :9] -= np.tile(problem.load_factor * problem.gravity, 3) * share[:, None]
+            local[:, :9] -= np.tile(problem.load_factor * problem.loads.gravity, 3) * share[:, None]
         return problem.gather_triangles(local)
 
     def ratios(self) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.problem.discrete import Problem
 from voile.problem.scales import force_floor
+from voile.solver.linear import Counts
 
 STEPS = 10  # of the load, where supports or moving obstacles lead the shell
 
@@ -31,7 +32,8 @@ class StaticsOptions:
 @dataclass
 class LoadStep:
     """One converged equilibrium of the path; negative: eigenvalues of its tangent; contact: its figures (see
-    problem.contact); way: the method that found it."""
+    problem.contact); method: which found it; reason
+    why it is one."""
 
     factor: float
     iterations: int
@@ -40,7 +42,8 @@ class LoadStep:
     energies: dict[str, float]
     negative: int | None = None
     contact: dict | None = None
-    way: str = "newton"
+    method: str = "newton"
+    reason: str = "residual below tolerance"
 
 
 @dataclass
@@ -51,11 +54,16 @@ class Path:
     converged: bool = False
     reason: str = ""
     steps: list[LoadStep] = field(default_factory=list)
-    newton_iterations: int = 0
+    counts: Counts = field(default_factory=Counts)
     attempts: int = 0
     stable: bool | None = None
     smallest_eigenvalue: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def newton_iterations(self) -> int:
+        """Those of all methods, failed attempts included."""
+        return self.counts.iterations
 
 
 Progress = Callable[[LoadStep, PETSc.Vec], None]

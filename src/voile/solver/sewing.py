@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, seam_gaps
-from voile.solver.newton import Newton
-from voile.solver.statics import create_snes
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.descent import Options as DescentOptions
+from voile.solver.methods.method import Workspace
+from voile.solver.methods.steps import Step
 
 MODEL = "discrete-shells//"  # finite at any fold and stiffer the sharper it is, no edge unknowns
 STIFFENING = 10.0  # of the thickness at equal stretching stiffness: seams close in smooth folds
@@ -51,14 +52,11 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             moment=None,
         )
     problem = Problem(loose, comm)
-    snes, newton = create_snes(problem, problem.create_matrix())
-    newton.least_shift = slow_rate(problem)
-    snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=MOST_STEPS)
-    snes.setConvergenceTest(lambda _snes, _it, _norms: _settled(newton))
+    descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))
+    descent.settled = _settled
     y = problem.create_vector()
-    snes.solve(None, y)
+    descent.run(problem, y, 0.0, MOST_STEPS)
     u, _ = problem.local(y)
-    snes.destroy()
     own = problem.part.owned_vertices
     pieces = comm.gather((problem.part.vertex[own], u.reshape(-1, 3)[own]))
     if shell is None or pieces is None:
@@ -69,9 +67,8 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
     return replace(shell, closing=closing)
 
 
-def _settled(newton: Newton) -> int:
-    steps = newton.steps
+def _settled(steps: list[Step]) -> bool:
     if len(steps) <= LOOK_BACK:
-        return 0
+        return False
     before, now = steps[-1 - LOOK_BACK].energy, steps[-1].energy
-    return PETSc.SNES.ConvergedReason.CONVERGED_ITS if before - now < SETTLED * abs(now) else 0
+    return before - now < SETTLED * abs(now)

@@ -1,50 +1,91 @@
-"""Is an equilibrium a minimum? Inertia of the tangent and its smallest eigenvalue by SLEPc."""
+"""Is an equilibrium a minimum? Inertia of the tangent, its smallest eigenvalue by SLEPc, and the way off a saddle."""
 
 import math
 
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
+from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
 from voile.problem.imperfection import imperfection
-from voile.solver.newton import add_mass, negative_pivots, use_cholesky
+from voile.problem.scales import slow_rate
+from voile.problem.state import State
+from voile.solver.linear import Counts, negative_pivots, use_cholesky
+from voile.solver.methods.method import Workspace
+
+KICKS = 5  # attempts to leave a saddle, each four times further
+NEUTRAL = 1e-6  # slow rates: an eigenvalue nearer to zero is none
 
 
-def factored(matrix: PETSc.Mat) -> PETSc.PC:
+def factored(matrix: PETSc.Mat, counts: Counts | None = None) -> PETSc.PC:
     """LDL^T of a matrix by MUMPS; raises PETSc.Error if it fails."""
     pc = PETSc.PC().create(comm=matrix.comm)
     pc.setOperators(matrix)
     use_cholesky(pc)
     pc.setFromOptions()
-    pc.setUp()
+    with (counts or Counts()).factorising():
+        pc.setUp()
     return pc
 
 
-def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tuple[float, PETSc.Vec]:
-    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M the lumped mass. The mode's
-    sign, and which one of several with the same omega, are those next to the imperfection.
+def contact_tangent(problem: Problem, y: PETSc.Vec, matrix: PETSc.Mat) -> PETSc.Mat:
+    """The exact tangent with sticking vertices held and slipping ones held along the normal."""
+    linear = contact_of(problem).linearise(problem.positions(y), problem.load_factor)
+    problem.tangent(y, matrix, "exact", linear.held())
+    return matrix
+
+
+def is_stable(work: Workspace, problem: Problem, y: PETSc.Vec) -> bool:
+    """Whether the tangent has no negative eigenvalue where contact lets the shell move."""
+    if problem.contact:
+        contact_tangent(problem, y, work.matrix)
+    else:
+        problem.tangent(y, work.matrix)
+    work.symmetric.factor(work.matrix)
+    return work.symmetric.negative == 0
+
+
+def kick(
+    work: Workspace, problem: Problem, y: PETSc.Vec, saddle: State, perturbation: float, attempt: int
+) -> float:
+    """Puts y off a saddle along its softest mode, `reach` far; the rate (1/s^2) at which that grows. Where it is
+    NEUTRAL, as of a spin about a single contact, the saddle is none, and y stays there."""
+    problem.restore(y, saddle)
+    slow = slow_rate(problem)
+    value, mode = smallest_eigenpair(problem, contact_tangent(problem, y, work.matrix), slow, work.counts)
+    if value < -NEUTRAL * slow:
+        mode.scale(reach(perturbation, attempt))
+        y.axpy(problem.longest_step(y, mode), mode)
+    return -value
+
+
+def reach(perturbation: float, attempt: int) -> float:
+    """How far an attempt leaves a saddle (m)."""
+    return perturbation * 4.0**attempt
+
+
+def smallest_eigenpair(
+    problem: Problem, tangent: PETSc.Mat, scale: float, counts: Counts | None = None
+) -> tuple[float, PETSc.Vec]:
+    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M = C^T M C. The mode's sign,
+    and which one of several with the same omega, are those next to the imperfection.
 
     Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
     no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
     """
-    mass = problem.mass()
-    shift = scale
+    counts, mass, shift = counts or Counts(), problem.mass_matrix(), scale
     for _ in range(60):
         shifted = tangent.copy()
-        add_mass(shifted, mass, shift)
-        pc = factored(shifted)
+        shifted.axpy(shift, mass, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        pc = factored(shifted, counts)
         below = negative_pivots(pc)
         pc.destroy()
         shifted.destroy()
         if below == 0:
             break
         shift *= 4.0
-    weights = PETSc.Mat().createAIJ(tangent.getSizes(), nnz=1, comm=tangent.comm)
-    weights.setUp()
-    weights.setDiagonal(mass)
-    weights.assemble()
     eps = SLEPc.EPS().create(comm=tangent.comm)
-    eps.setOperators(tangent, weights)
+    eps.setOperators(tangent, mass)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     eps.setTarget(-shift)
@@ -58,7 +99,8 @@ def smallest_eigenpair(problem: Problem, tangent: PETSc.Mat, scale: float) -> tu
     first = imperfection(problem)
     eps.setInitialSpace([first])
     eps.setFromOptions()
-    eps.solve()
+    with counts.factorising():
+        eps.solve()
     if eps.getConverged() < 1:
         return math.nan, problem.create_vector()
     mode = problem.create_vector()

@@ -71,4 +71,4 @@ class Progress:
 def _touching(step) -> str:
     """What a step's contact is, for a line of progress; empty without."""
     c = step.contact
-    return f"contact {c['active']} ({c['slip']} slip, {step.way})  " if c else ""
+    return f"contact {c['active']} ({c['slip']} slip, {step.method})  " if c else ""

@@ -6,19 +6,49 @@ Unknowns y and a reaction r for each candidate, a pair of vertex and obstacle ne
 -contact_snes_type (vinewtonrsls, vinewtonssls); options of that prefix go to it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.state import Contact
+from voile.errors import InputError
+from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
+from voile.solver.linear import set_defaults, use_lu
+from voile.solver.methods.method import Outcome, Workspace
+from voile.solver.methods.semismooth import Semismooth
 
 REACH = 0.1  # of the shell's size
 OPTION = "contact_snes_type"
 
 
 class Complementarity:
+    """SNESVI, then a step of the semismooth method for the inertia."""
+
+    name = "complementarity"
+
+    def __init__(self, work: Workspace, semismooth: Semismooth):
+        self.work, self.semismooth = work, semismooth
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method. Raises InputError where something rubs, or layers of the shell touch."""
+        contact = contact_of(problem)
+        if contact.itself or any(friction > 0.0 for _, friction in contact.frictions):
+            raise InputError(
+                f"-{OPTION}: SNESVI solves frictionless contact with obstacles; allowed: friction = 0 on all, "
+                "contact.self_contact = false"
+            )
+        snes = Inequality(problem, contact, self.work.matrix, y).solve(tolerance)
+        self.work.counts.iterations += snes.getIterationNumber()
+        if snes.getConvergedReason() <= 0:
+            return Outcome(False, snes.getType(), f"{snes.getType()} did not converge")
+        return replace(self.semismooth.solve(problem, y, tolerance), method=snes.getType())
+
+
+class Inequality:
     """One solve's candidates, vectors and matrices. Gaps enter as forces, times the shell's own stiffness."""
 
     def __init__(self, problem: Problem, contact: Contact, tangent: PETSc.Mat, y: PETSc.Vec):
@@ -50,11 +80,8 @@ class Complementarity:
         snes.setJacobian(self._jacobian, matrix)
         snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=200)
         snes.ksp.setType(PETSc.KSP.Type.PREONLY)
-        snes.ksp.pc.setType(PETSc.PC.Type.LU)
-        snes.ksp.pc.setFactorSolverType("mumps")
-        work_space = "contact_mat_mumps_icntl_14"  # per cent: pivoting wants more than the estimate
-        if not PETSc.Options().hasName(work_space):
-            PETSc.Options().setValue(work_space, "200")
+        use_lu(snes.ksp.pc)
+        set_defaults({"contact_mat_mumps_icntl_14": "200"})  # per cent: pivoting wants more than the estimate
         snes.setFromOptions()
         snes.solve(None, z)
         self._take(z)

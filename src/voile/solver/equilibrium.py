@@ -1,0 +1,148 @@
+"""Which methods find the equilibria of a problem, in which order.
+
+Without contact: mixed Newton steps follow a branch; descent is the last resort. With contact and friction: the
+semismooth method and, for what a disturbance left out of balance, tied contacts; the augmented Lagrangian where
+supports hold the shell along every axis, and implicit steps in pseudo-time.
+"""
+
+import math
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.imperfection import disturb
+from voile.problem.scales import round_off
+from voile.solver.cascade import Cascade, attempt
+from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
+from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
+from voile.solver.methods.complementarity import OPTION, Complementarity
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.method import Method, Outcome, Workspace
+from voile.solver.methods.mixed_newton import MixedNewton
+from voile.solver.methods.off_saddle import OffSaddle
+from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
+from voile.solver.methods.semismooth import Semismooth, law_norms
+from voile.solver.methods.tied import Tied
+from voile.solver.path import StaticsOptions
+
+SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
+
+
+class Solver:
+    """Finds the equilibrium of a problem at its load factor. `norm`: the last one's residual (N; with contact also the
+    mismatch of its laws); `negative`: eigenvalues of its tangent, None where not known."""
+
+    def __init__(self, problem: Problem, options: StaticsOptions):
+        self.problem, self.work = problem, Workspace(problem)
+        self.perturbation = options.perturbation * problem.thickness()
+        self.descent = Descent(self.work)
+        self.norm = np.inf
+        self.negative: int | None = None
+        self.off_saddle: OffSaddle | None = None
+        if problem.contact:
+            self._for_contact(problem, options)
+        else:
+            self.mixed = MixedNewton(self.work)
+            minimum = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
+            self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.fast else minimum])
+            self.all = Cascade([minimum])
+
+    def _for_contact(self, problem: Problem, options: StaticsOptions) -> None:
+        work, descent, off = self.work, self.descent, self.perturbation
+        self.semismooth = Semismooth(work)
+        first: Method = self.semismooth
+        if PETSc.Options().hasName(OPTION):
+            first = Complementarity(work, self.semismooth)
+        tied = Tied(descent, self.semismooth)
+        transient = PseudoTransient(work, descent, self.semismooth, off)
+        self.watched = WatchedTransient(work, descent, self.semismooth, off)
+        firm = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
+        self.off_saddle = OffSaddle(work, firm, transient, off)
+        near: list[Method] = [first, tied] if options.fast else [tied, first]
+        later: list[Method] = [transient]
+        if problem.supported:  # what nothing holds has no least potential
+            later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
+        self.near = Cascade(near, self.off_saddle)
+        self.all = Cascade([*near, *later], self.off_saddle)
+
+    def solve(self, y: PETSc.Vec, wanted: float, last_resort: bool, watched: bool = False) -> Outcome:
+        """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
+        last_resort: by all methods, not only by those that follow a branch; watched: in steps that do not lead through
+        obstacles."""
+        problem = self.problem
+        if not math.isfinite(wanted):
+            return Outcome(False, "", "the loads are not finite")
+        if not problem.contact:
+            outcome = attempt(self.all if last_resort else self.near, problem, y, wanted)
+            newton = self.mixed if outcome.method == self.mixed.name else self.descent
+            self.norm, self.negative = newton.nonlinear.norm, newton.negative
+            return outcome
+        problem.contact.sharp = wanted / (SHARP * problem.size())
+        if self._carried_through(y):
+            reason = "supports carry layers of the shell through each other in one load step"
+            return Outcome(False, "", reason)
+        method: Method = self.watched if watched else self.all if last_resort else self.near
+        outcome = attempt(method, problem, y, wanted)
+        if outcome.converged:
+            self.norm, self.negative = self._norm(y), self.semismooth.negative
+        return outcome
+
+    def _norm(self, y: PETSc.Vec) -> float:
+        return float(np.hypot(*law_norms(self.problem, y, y.duplicate())))
+
+    def leave_saddle(self, y: PETSc.Vec, wanted: float) -> bool:
+        """Whether a stable equilibrium was found from the saddle y, where y then is."""
+        assert self.off_saddle
+        return attempt(self.off_saddle, self.problem, y, wanted).converged
+
+    def _carried_through(self, y: PETSc.Vec) -> bool:
+        """Whether supports alone, moved from where the load step began, push layers of the shell through each
+        other."""
+        problem, contact = self.problem, self.problem.contact
+        if not (contact and contact.itself and problem.moves):
+            return False
+        target, problem.load_factor = problem.load_factor, contact.state.factor
+        began = problem.positions(y)
+        problem.load_factor = target
+        if not problem.everywhere(np.array_equal(began, contact.state.reference)):
+            return False  # the step is on its way
+        share = contact.free_share(began, problem.positions(y))
+        return problem.comm.allreduce(share, op=MPI.MIN) < 1.0
+
+
+class Minimum:
+    """Descent from a start moved off symmetry (perturbation, m)."""
+
+    def __init__(self, descent: Descent, perturbation: float):
+        self.descent, self.perturbation = descent, perturbation
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        disturb(problem, y, self.perturbation)
+        return self.descent.solve(problem, y, tolerance)
+
+
+class Sharpened:
+    """A method without contact, to round-off: where the rounding of large displacements hides that it has converged
+    they are counted anew from the shape reached; what then remains is round-off of the evaluation, and accepted as
+    such."""
+
+    def __init__(self, method: Method, newton: MixedNewton | Descent):
+        self.method, self.newton = method, newton
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        outcome = self.method.solve(problem, y, tolerance)
+        if not self.newton.stalled:
+            return outcome
+        problem.rebase(y)
+        outcome = self.method.solve(problem, y, tolerance)
+        norm, computed = self.newton.nonlinear.norm, round_off(problem, y)[1]
+        if not self.newton.stalled or computed < tolerance:
+            return outcome
+        reason = (
+            f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"
+        )
+        return Outcome(True, outcome.method, reason)

@@ -1,0 +1,77 @@
+"""Augmented Lagrangian: with frozen reactions and friction bounds contact is a potential, minimised by descent; then
+the reactions are updated (a Tresca fixed point; Simo & Laursen 1992) and the semismooth method tried.
+"""
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_of
+from voile.problem.discrete import Problem
+from voile.problem.imperfection import disturb
+from voile.solver.cascade import attempt
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.method import Outcome
+from voile.solver.methods.semismooth import Semismooth, law_norms
+
+
+@dataclass
+class Options:
+    """updates of the reactions. roughest: first tolerance of the descents over the last. softest: contact's stiffness
+    in the first descent over the shell's, so that its front moves over many vertices at once; hardening: its factor
+    per update. iterations of a descent."""
+
+    updates: int = 15
+    roughest: float = 30.0
+    softest: float = 1e-4
+    hardening: float = 30.0
+    iterations: int = 300
+
+
+class AugmentedLagrangian:
+    """perturbation (m): off symmetry, at the start of a descent."""
+
+    name = "augmented Lagrangian"
+
+    def __init__(
+        self,
+        descent: Descent,
+        semismooth: Semismooth,
+        perturbation: float,
+        options: Options | None = None,
+    ):
+        self.descent, self.semismooth, self.perturbation = descent, semismooth, perturbation
+        self.options = options or Options()
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method. Between layers of the shell contact does not start soft: they would collapse, and then no step
+        is free."""
+        contact, options = contact_of(problem), self.options
+        contact.freeze(problem.positions(y), problem.load_factor)
+        contact.softness = 1.0 if contact.itself else options.softest
+        rough = options.roughest * tolerance
+        if not contact.itself:
+            disturb(problem, y, self.perturbation)
+        try:
+            for _ in range(options.updates):
+                if not self.descent.run(problem, y, max(tolerance, rough), options.iterations):
+                    return Outcome(False, self.name, self.descent.nonlinear.missed(y))
+                contact.adopt(problem.positions(y), problem.load_factor)
+                contact.softness = min(options.hardening * contact.softness, 1.0)
+                settled = self.descent.nonlinear.iterations <= 2 or contact.softness == 1.0
+                if settled and self._finished(problem, y, tolerance):
+                    return Outcome(True, self.name)
+                rough *= 0.1
+        finally:
+            contact.softness = 1.0
+        missed = self.descent.nonlinear.missed(y)
+        return Outcome(
+            False, self.name, f"{options.updates} updates of the reactions did not converge; {missed}"
+        )
+
+    def _finished(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
+        """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""
+        residual, mismatch = law_norms(problem, y, y.duplicate())
+        if (residual**2 + mismatch**2) ** 0.5 <= tolerance:
+            return True
+        return attempt(self.semismooth, problem, y, tolerance).converged

@@ -1,0 +1,228 @@
+"""Newton's method on a potential: a line search along directions of a positive definite matrix.
+
+The matrix is the exact Hessian where the inertia of its factorisation says that it is positive definite, else the
+kernels' positive semidefinite one; where steps stay short, a multiple of the mass is added (one step of
+pseudo-transient continuation), which fades as the steps recover. The line search demands sufficient decrease of the
+potential; where round-off hides the decrease, or the loads have no potential, it looks at the slope instead (Hager &
+Zhang 2005, approximate Wolfe conditions). SNES prefix descent_.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.scales import slow_rate
+from voile.solver.linear import LinearSolver
+from voile.solver.methods.method import Nonlinear, Outcome, Workspace
+from voile.solver.methods.steps import Stall, Step, descent_direction, factor, limit, test
+
+_REASON = PETSc.SNES.ConvergedReason
+
+
+@dataclass
+class Options:
+    """iterations: a buckling cloth takes up to 300 from a flat start. sufficient: share of the predicted decrease
+    that a step must reach (Armijo; Nocedal & Wright 2006). shortest: relative step length at which the search gives
+    up. patience: steps after which an indefinite exact Hessian is tried again at most; drapes of 32 x 32 cells took
+    343 factorisations with 2, 279 with 8. noise: relative size under which differences of the potential are round-off.
+    mixed_steps: those of a watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds."""
+
+    iterations: int = 500
+    sufficient: float = 1e-4
+    shortest: float = 1e-10
+    patience: int = 8
+    noise: float = 1e-11
+    mixed_steps: int = 5
+    shift: float = 0.0
+
+
+class Descent:
+    """Minimises the potential of a problem. After a run `stalled` says that only round-off is left of the residual,
+    above the tolerance; `negative` counts the tangent's negative eigenvalues, None where that is not known."""
+
+    name = "descent"
+
+    def __init__(self, work: Workspace, options: Options | None = None):
+        self.work, self.options = work, options or Options()
+        self.iteration = Iterate(self)
+        self.nonlinear = Nonlinear(work, "descent_", self.iteration)
+        self.settled: Callable[[list[Step]], bool] | None = None  # another test of convergence
+        self.stalled = False
+        self.negative: int | None = None
+
+    @property
+    def steps(self) -> list[Step]:
+        """Those of the last run."""
+        return self.iteration.steps
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        if self.run(problem, y, tolerance):
+            return Outcome(True, self.name)
+        return Outcome(False, self.name, self.nonlinear.missed(y))
+
+    def run(self, problem: Problem, y: PETSc.Vec, tolerance: float, most: int | None = None) -> bool:
+        """Whether the residual's norm came under the tolerance (N) within `most` iterations; y ends where they end."""
+        self.stalled, self.negative = False, None
+        return self.nonlinear.run(problem, y, tolerance, most or self.options.iterations)
+
+
+class Iterate:
+    """The iteration of its SNES."""
+
+    def __init__(self, method: Descent):
+        self.method, self.work, self.options = method, method.work, method.options
+        self.steps: list[Step] = []
+        self.shift = 0.0  # 1/s^2 of mass added while steps are short
+        self._wait = self._patience = (
+            0  # steps until the exact Hessian is tried again; until then when it fails
+        )
+        self._rest = self._pause = 0  # steps until, and between, watchdogs
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
+        """Iterates until SNES's convergence test says so; sets its reason."""
+        problem = self.problem = self.method.nonlinear.problem
+        residual, direction, stall = snes.getFunction()[0], y.duplicate(), Stall()
+        trial, trial_residual = y.duplicate(), y.duplicate()
+        self.steps, self.shift, self._wait, self._patience = [], 0.0, 0, 1
+        snes.computeFunction(y, residual)
+        energy, norm = self._energy(y), residual.norm()
+        reason = test(snes, 0, y, direction, norm)
+        for it in range(1, snes.getTolerances()[3] + 1):
+            if reason:
+                break
+            exact, slope = self._direction(y, residual, direction)
+            if slope is None:
+                reason = _REASON.DIVERGED_LINEAR_SOLVE
+                break
+            length, new_energy = self._search(y, direction, energy, norm, slope, trial, trial_residual)
+            if length == 0.0:
+                reason = 0 if self._regularise() else _REASON.DIVERGED_LINE_SEARCH
+                continue
+            if exact and length < 0.5 and problem.conservative and self._rest == 0:
+                new_energy = self._watchdog(y, direction, new_energy, trial, trial_residual)
+            self._rest = max(self._rest - 1, 0)
+            trial.copy(y)
+            trial_residual.copy(residual)
+            energy, norm = new_energy, residual.norm()
+            self._adapt(length)
+            self.steps.append(Step(it, norm, energy, length, exact, self.shift))
+            direction.scale(length)
+            reason = test(snes, it, y, direction, norm)
+            if not reason and self.method.settled and self.method.settled(self.steps):
+                reason = _REASON.CONVERGED_ITS
+            if not reason and stall.reached(problem, y, norm):
+                self.method.stalled, reason = True, _REASON.DIVERGED_LINE_SEARCH
+        snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)
+
+    def _watchdog(self, y, direction, energy, trial, trial_residual) -> float:
+        """Where stretching cuts the line search short: the whole step and some mixed steps after it (Chamberlain et
+        al. 1982). Leaves their end in trial if its potential is below `energy`, that of the line search; else waits
+        twice as long as before until the next try. Returns the potential of trial."""
+        problem = self.problem
+        there, step, residual = y.copy(), direction.copy(), y.duplicate()
+        best = energy
+        for _ in range(self.options.mixed_steps):
+            limit(problem, there, step)
+            problem.predict(there, step)
+            there.axpy(1.0, step)
+            new = self._energy(there)
+            problem.residual(there, residual)
+            if new < best:
+                best = new
+                there.copy(trial)
+                residual.copy(trial_residual)
+            elif best < energy:
+                break
+            if not np.isfinite(residual.norm()):
+                break
+            linear = factor(self.work, problem, there, "mixed", self._shift())
+            if linear.negative or not linear.usable:
+                break
+            descent_direction(linear, residual, step)
+        self._pause = 0 if best < energy else min(max(2 * self._pause, 1), 64)
+        self._rest = self._pause
+        return best
+
+    def _energy(self, y: PETSc.Vec) -> float:
+        return self.problem.energy(y) if self.problem.conservative else 0.0
+
+    # ---- direction ----
+
+    def _direction(self, y, residual, direction) -> tuple[bool, float | None]:
+        """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
+        self._wait -= 1
+        if self._wait < 0:
+            slope = self._slope(self._factor(y, "exact"), residual, direction)
+            if slope is not None:
+                self._patience = 1
+                return True, slope
+            self._wait = self._patience = min(2 * self._patience, self.options.patience)
+        while True:
+            slope = self._slope(self._factor(y, "safe"), residual, direction)
+            if slope is not None or not self._regularise():
+                return False, slope
+
+    def _slope(self, linear: LinearSolver, residual, direction) -> float | None:
+        """That of the potential along the direction (J); None where the matrix gives no descent direction."""
+        if linear.negative or not linear.usable:
+            return None
+        slope = descent_direction(linear, residual, direction)
+        return slope if np.isfinite(slope) and slope < 0.0 else None
+
+    def _factor(self, y: PETSc.Vec, kind: str) -> LinearSolver:
+        linear = factor(self.work, self.problem, y, kind, self._shift())
+        if kind == "exact" and self._shift() == 0.0:
+            self.method.negative = linear.negative
+        return linear
+
+    def _shift(self) -> float:
+        return max(self.shift, self.options.shift)
+
+    def _regularise(self) -> bool:
+        """Raises the shift (pseudo-transient continuation); False when it is beyond use."""
+        first = slow_rate(self.problem)
+        self.shift = max(10.0 * self.shift, first)
+        return self.shift < 1e12 * first
+
+    def _adapt(self, length: float) -> None:
+        first = slow_rate(self.problem)  # of the time (s) in which the load moves the shell by about its size
+        if length < 0.1:
+            self.shift = max(4.0 * self.shift, first)
+        elif length > 0.5 and self.shift:
+            self.shift = 0.1 * self.shift if self.shift > 0.1 * first else 0.0
+
+    # ---- line search ----
+
+    def _search(self, y, direction, energy, norm, slope, trial, trial_residual) -> tuple[float, float]:
+        """Backtracks from the longest step that the problem admits; (0, energy) if no length is acceptable."""
+        problem, options = self.problem, self.options
+        length, noise = problem.longest_step(y, direction), options.noise * abs(energy)
+        while length > options.shortest:
+            trial.waxpy(length, direction, y)
+            new = self._energy(trial)
+            if not np.isfinite(new):
+                length *= 0.25
+                continue
+            decrease, predicted = new - energy, length * slope
+            if problem.conservative and decrease <= options.sufficient * predicted and -predicted > noise:
+                problem.residual(trial, trial_residual)
+                return length, new
+            if not problem.conservative or decrease <= noise:
+                problem.residual(trial, trial_residual)
+                new_slope = trial_residual.dot(direction)
+                if np.isfinite(new_slope) and self._flat_enough(
+                    new_slope, slope, trial_residual.norm(), norm
+                ):
+                    return length, new
+            guess = -0.5 * predicted * length / (decrease - predicted) if decrease > predicted else 0.0
+            length = min(max(guess, 0.1 * length), 0.5 * length)
+        return 0.0, energy
+
+    def _flat_enough(self, new_slope: float, slope: float, new_norm: float, norm: float) -> bool:
+        if self.problem.conservative:
+            return new_slope <= (2 * self.options.sufficient - 1) * slope and new_slope >= 0.9 * slope
+        return abs(new_slope) <= 0.9 * abs(slope) or new_norm < norm

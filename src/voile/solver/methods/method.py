@@ -1,0 +1,134 @@
+"""What all methods share: their interface, their workspace, their SNES."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.scales import round_off
+from voile.problem.state import State
+from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, use_cholesky, use_lu
+
+LINEAR = 1e-10  # GMRES' tolerance; preconditioned by the symmetric part's factor it takes 3 to 5 iterations
+BLAMED = 10.0  # times round-off that a norm may be due to it
+_REASON = PETSc.SNES.ConvergedReason  # newer and older petsc4py call it differently
+NOT_FINITE = getattr(_REASON, "DIVERGED_FUNCTION_NANORINF", None) or _REASON.DIVERGED_FNORM_NAN
+REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isinstance(value, int)}
+
+
+@dataclass
+class Outcome:
+    """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
+    saddle: an unstable one found instead."""
+
+    converged: bool
+    method: str
+    reason: str = ""
+    gone: bool = False
+    saddle: State | None = None
+
+
+class Method(Protocol):
+    """Finds an equilibrium of a problem at its load factor from the unknowns y, which move there."""
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """tolerance: of the residual's norm (N)."""
+        ...
+
+
+class Workspace:
+    """What the methods of a run share: the tangent's matrix with its linear solvers, and the counts.
+
+    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
+    """
+
+    def __init__(self, problem: Problem, monitor: Callable[[float, int, float], None] | None = None):
+        self.comm, self.monitor = problem.comm, monitor or problem.monitor
+        self.matrix, self.counts = problem.create_matrix(), Counts()
+        set_defaults(DEFAULTS)
+        ksp = PETSc.KSP().create(comm=problem.comm)
+        ksp.setType(PETSc.KSP.Type.PREONLY if problem.conservative else PETSc.KSP.Type.GMRES)
+        ksp.setTolerances(rtol=LINEAR)
+        use_cholesky(ksp.pc)
+        ksp.setFromOptions()
+        self.symmetric = LinearSolver(ksp, self.counts)
+        self._unsymmetric: LinearSolver | None = None
+
+    @property
+    def unsymmetric(self) -> LinearSolver:
+        """LU, made when it is first wanted."""
+        if self._unsymmetric is None:
+            ksp = PETSc.KSP().create(comm=self.comm)
+            ksp.setOptionsPrefix("friction_")
+            ksp.setType(PETSc.KSP.Type.PREONLY)
+            use_lu(ksp.pc)
+            ksp.setFromOptions()
+            self._unsymmetric = LinearSolver(ksp, self.counts)
+        return self._unsymmetric
+
+
+class Iteration(Protocol):
+    """What a SNES of type python calls."""
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None: ...
+
+
+class Nonlinear:
+    """A SNES with an option prefix around an iteration of our own.
+
+    Options without prefix hold for all methods: they are handed on to the prefix where it has none of its own.
+    """
+
+    def __init__(self, work: Workspace, prefix: str, iteration: Iteration):
+        self.work, self.iteration = work, iteration
+        self._problem: Problem | None = None
+        snes = self.snes = PETSc.SNES().create(comm=work.comm)
+        snes.setOptionsPrefix(prefix)
+        hand_on(prefix)
+        # Where the potential falls, the residual may rise as it likes.
+        set_defaults({f"{prefix}snes_divergence_tolerance": "-3"})
+        snes.setType(PETSc.SNES.Type.PYTHON)
+        snes.setPythonContext(iteration)
+        snes.setKSP(work.symmetric.ksp)
+        if work.monitor:
+            snes.setMonitor(self._report)
+
+    def run(self, problem: Problem, y: PETSc.Vec, tolerance: float, most: int) -> bool:
+        """Iterates on the problem from y; whether the residual's norm came under the tolerance (N)."""
+        snes, self._problem = self.snes, problem
+        snes.setFunction(lambda _, z, f: problem.residual(z, f), problem.create_vector())
+        snes.setJacobian(lambda _, z, j, p: problem.tangent(z, p), self.work.matrix)
+        snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=most)
+        snes.setFromOptions()
+        snes.solve(None, y)
+        self.work.counts.iterations += snes.getIterationNumber()
+        return snes.getConvergedReason() > 0
+
+    @property
+    def problem(self) -> Problem:
+        """That of the last run."""
+        assert self._problem is not None
+        return self._problem
+
+    @property
+    def norm(self) -> float:
+        """The residual's at the end of the last run (N)."""
+        return self.snes.getFunctionNorm()
+
+    @property
+    def iterations(self) -> int:
+        """Those of the last run."""
+        return self.snes.getIterationNumber()
+
+    def missed(self, y: PETSc.Vec) -> str:
+        """By how much the last run, which ended at y, missed its tolerance; and round-off, where it is to blame."""
+        asked, why = self.snes.getTolerances()[1], REASONS.get(self.snes.getConvergedReason(), "?")
+        noise = max(round_off(self.problem, y))
+        blame = f"; round-off is {noise:.1e} N" if self.norm < BLAMED * noise else ""
+        return f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){blame}"
+
+    def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        assert self.work.monitor is not None
+        self.work.monitor(self.problem.load_factor, iteration, norm)

@@ -1,0 +1,205 @@
+"""Pseudo-time: implicit Euler steps without velocity (Inertia with the step's start as predicted position).
+
+Steps are as long as they converge, and rough: one descent with frozen reactions, then one update of these, so that the
+laws lag behind by a step. Slip is measured from the step's start. Once inertia is small beside the loads, the
+semismooth method finishes without it. A shell that nothing holds slides on and on: then there is no equilibrium.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_of, leads_through
+from voile.problem.discrete import Problem, difference
+from voile.problem.imperfection import disturb
+from voile.problem.scales import round_off, slow_rate
+from voile.problem.state import State
+from voile.solver.cascade import attempt
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.method import Outcome, Workspace
+from voile.solver.methods.semismooth import Semismooth
+from voile.solver.stability import KICKS, NEUTRAL, kick, reach
+
+GONE = 1.0  # sizes of the shell after which it has slid away
+
+
+@dataclass
+class Options:
+    """Rates are inverse squares of step lengths (1/s^2) over the slow rate g/size.
+
+    steps at most. first_rate: a step of 0.3 sqrt(size/g), the longest that descents finish in some 40 iterations on
+    sheets over a ball (0.5 takes twice as many in all). fresh_rate: while no contact bears yet there is no friction
+    either; such a step must move less than `fresh` sizes, which it does at this rate. last_rate: hopeless. fade: of
+    the rate after an easy step, `easy` iterations at most; raise_: after one that failed. iterations of a descent;
+    rough: its tolerance over the loads or the norm that it starts with; drapes take half as many iterations as with
+    0.1. near: inertia over the loads under which the semismooth method is tried, and again when it fell to a third.
+    blurred: of the tolerance, beyond which the round-off of large unknowns makes them be counted anew.
+    """
+
+    steps: int = 300
+    first_rate: float = 11.0
+    fresh_rate: float = 100.0
+    fresh: float = 0.01
+    last_rate: float = 1e7
+    fade: float = 1.0 / 9.0
+    raise_: float = 4.0
+    easy: int = 4
+    iterations: int = 100
+    rough: float = 0.3
+    near: float = 0.01
+    blurred: float = 0.1
+
+
+class PseudoTransient:
+    """perturbation (m): off symmetry at each step's start, and off saddles."""
+
+    name = "pseudo-transient"
+
+    def __init__(
+        self,
+        work: Workspace,
+        descent: Descent,
+        semismooth: Semismooth,
+        perturbation: float,
+        options: Options | None = None,
+    ):
+        self.work, self.descent, self.semismooth = work, descent, semismooth
+        self.perturbation, self.options = perturbation, options or Options()
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        options, slow, contact = self.options, slow_rate(problem), contact_of(problem)
+        loads, start = max(problem.load_norm(y), tolerance / 1e-8), problem.save(y)
+        fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
+        rate, kicks, peak = (options.fresh_rate if fresh else options.first_rate) * slow, 0, np.inf
+        slips = not contact.moves  # what sticks has gone along with moving obstacles
+        for _ in range(options.steps):
+            before = problem.save(y)
+            if slips:
+                contact.begin(problem.positions(y), problem.load_factor)
+            step = problem.with_inertia(rate, problem.positions(y))
+            done = self._step(step, y, tolerance, loads)
+            if done is None or not self._admissible(problem, before, y):
+                problem.restore(y, before)
+                rate *= 1.0 if self._sharpened(problem, y, tolerance) else options.raise_
+                if rate > options.last_rate * slow:
+                    missed = self.descent.nonlinear.missed(y)
+                    return self._failed(f"no step of pseudo-time converges; {missed}")
+                continue
+            slips = True
+            moved = difference(y, problem.unknowns_of(start))
+            if problem.largest_motion(moved) > GONE:
+                last = difference(y, problem.unknowns_of(before))
+                return replace(self._failed(_slides(problem, last)), gone=True)
+            if not done:
+                continue
+            inertia = step.inertia_norm(y)
+            peak = max(peak, inertia) if np.isfinite(peak) else inertia
+            rate = self._next(rate, slow)
+            if inertia > min(options.near * loads, 0.3 * peak):
+                continue
+            peak = inertia
+            found = self._arrives(problem, y, tolerance, start)
+            if found.converged:
+                return found
+            if not found.saddle or self._beside(problem, y, found.saddle, kicks):
+                continue
+            if kicks == KICKS:
+                return self._failed("no way off a saddle")
+            growth = kick(self.work, problem, y, found.saddle, self.perturbation, kicks)
+            if growth <= NEUTRAL * slow:
+                return Outcome(True, self.name)
+            kicks, rate, peak = kicks + 1, 2.0 * growth, 0.0
+        return self._failed(f"{options.steps} steps of pseudo-time did not settle")
+
+    def _failed(self, reason: str) -> Outcome:
+        return Outcome(False, self.name, reason)
+
+    def _next(self, rate: float, slow: float) -> float:
+        """The rate after a step that converged: longer steps where it was easy, and back to the first length."""
+        if self.descent.nonlinear.iterations <= self.options.easy:
+            return self.options.fade * rate
+        first = self.options.first_rate * slow
+        return max(first, self.options.fade * rate) if rate > first else rate
+
+    def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
+        """Whether the step from a state to y may be taken."""
+        return True
+
+    def _step(self, problem: Problem, y: PETSc.Vec, tolerance: float, loads: float) -> bool | None:
+        """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
+        many iterations); None where it failed."""
+        options, contact, home = self.options, contact_of(problem), y.copy()
+        fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
+        contact.freeze(problem.positions(y), problem.load_factor)
+        f = y.duplicate()
+        problem.residual(y, f)
+        if not contact.itself:  # layers take long to settle again
+            disturb(problem, y, self.perturbation)
+        rough = max(tolerance, options.rough * min(f.norm(), loads))
+        done = self.descent.run(problem, y, rough, options.iterations)
+        if fresh and problem.largest_motion(difference(y, home)) > options.fresh:
+            return None
+        if done:
+            contact.adopt(problem.positions(y), problem.load_factor)
+            return True
+        unfinished = self.descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
+        return False if unfinished else None
+
+    def _arrives(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> Outcome:
+        """What the semismooth method finds from here, with the slip since the `start` of the load step where it
+        can."""
+        contact, before = contact_of(problem), problem.save(y)
+        contact.begin(problem.positions(y), problem.load_factor)
+        found = attempt(self.semismooth, problem, y, tolerance)
+        if not (found.converged or found.saddle) and self._sharpened(problem, y, tolerance):
+            found = attempt(self.semismooth, problem, y, tolerance)
+        if found.converged and not self._admissible(problem, before, y):
+            problem.restore(y, before)
+            return self._failed("the way on leads through an obstacle")
+        if found.converged and (problem.held or contact.moves):
+            self._recall(problem, y, tolerance, start)
+        return replace(found, method=self.name)
+
+    def _sharpened(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
+        """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
+        if round_off(problem, y)[0] <= self.options.blurred * tolerance:
+            return False
+        problem.rebase(y)
+        return True
+
+    def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> None:
+        """An equilibrium whose slip is that of the whole load step, where there is one near: that of pseudo-time is
+        measured from its own last step."""
+        contact, began = contact_of(problem), start.history
+        assert began is not None
+        found, state = contact.state.copy(), contact.state
+        state.reference, state.factor, state.layers = began.reference, began.factor, began.layers
+        if not attempt(self.semismooth, problem, y, tolerance).converged:
+            contact.state = found
+
+    def _beside(self, problem: Problem, y: PETSc.Vec, saddle: State, kicks: int) -> bool:
+        """Whether y is already further from a saddle than the next kick would put it."""
+        moved = problem.largest_motion(difference(y, problem.unknowns_of(saddle)))
+        return moved * problem.size() > reach(self.perturbation, kicks)
+
+
+class WatchedTransient(PseudoTransient):
+    """No step may lead a vertex through an obstacle."""
+
+    def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
+        was, now = problem.positions(problem.unknowns_of(before)), problem.load_factor
+        return not leads_through(problem, was, now, problem.positions(y))
+
+
+def _slides(problem: Problem, step: PETSc.Vec) -> str:
+    """Which way the shell leaves, on what."""
+    own = problem.motion(step)[problem.own]
+    total = problem.comm.allreduce(own.sum(axis=0))
+    way = total / max(float(np.linalg.norm(total)), 1e-300)
+    bodies = ", ".join(f"{name} (friction {mu:g})" for name, mu in contact_of(problem).frictions)
+    return (
+        f"the shell slides or falls: no equilibrium within its own size; it moves along "
+        f"({way[0]:.3f}, {way[1]:.3f}, {way[2]:.3f}) past {bodies}"
+    )

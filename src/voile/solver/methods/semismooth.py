@@ -1,0 +1,161 @@
+"""Semismooth Newton method for equilibrium together with Signorini's and Coulomb's laws.
+
+Unknowns are displacements, director angles and the reactions of the contacts that may carry one. Per iteration: one
+factorisation of the shell's tangent, to which each active contact adds a firm 3x3 block, and a few more solves with it
+that turn those into the exact linearised laws, the reactions being multipliers. Without slip the matrix is symmetric
+and the factorisation counts negative eigenvalues on the contacts' tangent space; with slip it is not, and LU serves.
+SNES prefix semismooth_.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.contact.state import Linearised
+from voile.errors import InputError
+from voile.problem.contact import contact_of
+from voile.problem.discrete import Problem
+from voile.problem.state import State
+from voile.solver.linear import LinearSolver
+from voile.solver.methods.method import Nonlinear, Outcome, Workspace
+from voile.solver.methods.steps import limit, test
+
+_REASON = PETSc.SNES.ConvergedReason
+
+
+@dataclass
+class Options:
+    """iterations: those that converge take under 30, a front of contacts that moves row by row up to 60. corrections:
+    solves with one factorisation that turn firm stiffnesses into constraints, to round-off with three. patience:
+    iterations without halving the norm after which it will not converge, or cycles. growth of the norm beyond which it
+    has left."""
+
+    iterations: int = 60
+    corrections: int = 3
+    patience: int = 6
+    growth: float = 1e8
+
+
+@dataclass
+class Iteration:
+    """One step of the semismooth method: norms of the equilibrium's residual and of the laws' mismatch (N)."""
+
+    residual: float
+    mismatch: float
+    symmetric: bool
+    changed: bool  # some pair opened, closed, stuck or slipped
+
+
+class Semismooth:
+    """Its SNES's function norm is that of residual and mismatch. `negative`: negative eigenvalues on the contacts'
+    tangent space after the last run; None where slip hides them."""
+
+    name = "semismooth"
+
+    def __init__(self, work: Workspace, options: Options | None = None):
+        self.work, self.options = work, options or Options()
+        self.iteration = Iterate(self)
+        self.nonlinear = Nonlinear(work, "semismooth_", self.iteration)
+        self.negative: int | None = None
+
+    @property
+    def steps(self) -> list[Iteration]:
+        """Those of the last run."""
+        return self.iteration.steps
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        done = self.nonlinear.run(problem, y, tolerance, self.options.iterations)
+        if self.nonlinear.snes.getType() != PETSc.SNES.Type.PYTHON:
+            raise InputError(
+                f"-snes_type {self.nonlinear.snes.getType()}: contact is solved by the program's own method; "
+                "allowed: none, or -contact_snes_type where nothing rubs"
+            )
+        if done and self.negative:
+            reason = "the semismooth Newton method ended at a saddle"
+            return Outcome(False, self.name, reason, saddle=problem.save(y))
+        return Outcome(done, self.name, "" if done else self.nonlinear.missed(y))
+
+
+class Iterate:
+    """The iteration of its SNES."""
+
+    def __init__(self, method: Semismooth):
+        self.method, self.work, self.options = method, method.work, method.options
+        self.steps: list[Iteration] = []
+
+    def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
+        """Iterates until SNES's convergence test says so; sets its reason. The reactions are in the contact's state."""
+        problem = self.method.nonlinear.problem
+        contact, matrix, most = contact_of(problem), self.work.matrix, snes.getTolerances()[3]
+        f, direction, states = snes.getFunction()[0], y.duplicate(), None
+        self.steps, kind = [], "exact"
+        first, best, idle = 0.0, np.inf, 0
+        held: tuple[State, float, int] | None = (
+            None  # an equilibrium to come back to, its norm, SNES's reason
+        )
+        for it in range(most + 1):
+            residual, mismatch = law_norms(problem, y, f)
+            norm = float(np.hypot(residual, mismatch))
+            first = first or norm
+            idle = 0 if norm < 0.5 * best else idle + 1
+            best = min(norm, best)
+            reason = test(snes, it, y, direction, norm if norm <= self.options.growth * first else np.nan)
+            if held and reason <= 0:  # as where the tangent is singular
+                reason = self._back(snes, problem, y, held)
+            if reason and (it or reason < 0):
+                snes.setConvergedReason(reason)
+                return
+            # What holds from the start takes one step for its inertia, and to be sharper.
+            held = (problem.save(y), norm, reason) if reason else None
+            if it == most or idle > self.options.patience:
+                break
+            linear = contact.linearise(problem.positions(y), problem.load_factor)
+            symmetric = problem.everywhere(linear.symmetric)
+            problem.tangent(y, matrix, kind, linear.blocks())
+            solver = self.work.symmetric if symmetric else self.work.unsymmetric
+            self.method.negative = solver.negative if solver.factor(matrix) else None
+            if solver.usable:
+                self._direction(solver, matrix, linear, y, f, direction)
+            if not (solver.usable and np.isfinite(direction.norm())):
+                reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
+                snes.setConvergedReason(reason)
+                return
+            share = limit(problem, y, direction)
+            problem.predict(y, direction)
+            y.axpy(1.0, direction)
+            linear.reactions(share)
+            now = linear.states()
+            self.steps.append(Iteration(residual, mismatch, symmetric, now != states))
+            states, kind = now, "mixed"
+        snes.setConvergedReason(_REASON.DIVERGED_MAX_IT)
+
+    def _back(self, snes: PETSc.SNES, problem: Problem, y: PETSc.Vec, held: tuple[State, float, int]) -> int:
+        """y and the reactions are again those of a state that converged; the reason why it did."""
+        state, norm, reason = held
+        problem.restore(y, state)
+        snes.setFunctionNorm(norm)
+        return reason
+
+    def _direction(self, solver: LinearSolver, matrix, linear: Linearised, y, f, direction) -> None:
+        """The Newton step: corrects reactions and step until the firm stiffnesses carry nothing."""
+        problem = self.method.nonlinear.problem
+        direction.set(0.0)
+        image, part = direction.duplicate(), direction.duplicate()
+        for _ in range(self.options.corrections):
+            problem.residual(y, f, linear.force())
+            matrix.mult(direction, image)
+            f.axpy(1.0, image)
+            solver.solve(f, part)
+            direction.axpy(-1.0, part)
+            linear.advance(problem.motion(direction))
+
+
+def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
+    """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""
+    contact, x = contact_of(problem), problem.positions(y)
+    with contact.measured():
+        problem.residual(y, f, contact.force(x, problem.load_factor, frozen=False))
+        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.load_factor))
+    return f.norm(), float(np.sqrt(mismatch))

@@ -1,0 +1,99 @@
+"""What Newton steps have in common: their factor, their bounds, and when round-off ends them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.discrete import Problem
+from voile.problem.scales import round_off
+from voile.solver.linear import LinearSolver
+from voile.solver.methods.method import NOT_FINITE, Workspace
+
+REACH = 0.2  # longest full step: displacement over the size of the shell
+
+
+@dataclass
+class Step:
+    """What an iteration did, for progress and tests."""
+
+    iteration: int
+    residual: float
+    energy: float
+    length: float
+    exact: bool
+    shift: float
+
+
+class Skewed:
+    """Context of a PETSc Mat of type python: the tangent, which is symmetric, and the skew part of the loads'."""
+
+    def __init__(self, problem: Problem, tangent: PETSc.Mat):
+        self.problem, self.tangent = problem, tangent
+
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = derivative of the residual along x."""
+        self.tangent.mult(x, y)
+        self.problem.add_skew(x, y)
+
+
+def factor(work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float = 0.0) -> LinearSolver:
+    """The tangent at y, with a multiple of the mass (1/s^2), factored. Systems are solved with its skew part, too,
+    where loads have no potential."""
+    matrix = work.matrix
+    problem.tangent(y, matrix, kind, shift=shift)
+    operator = matrix
+    if not problem.conservative:
+        operator = PETSc.Mat().createPython(matrix.getSizes(), Skewed(problem, matrix), matrix.comm)
+    work.symmetric.factor(matrix, operator)
+    return work.symmetric
+
+
+def descent_direction(linear: LinearSolver, residual: PETSc.Vec, direction: PETSc.Vec) -> float:
+    """direction = -A^-1 residual; the slope of the potential along it (J)."""
+    linear.solve(residual, direction)
+    direction.scale(-1.0)
+    return residual.dot(direction)
+
+
+def limit(problem: Problem, y: PETSc.Vec, direction: PETSc.Vec) -> float:
+    """Shortens a step from y that would move something beyond what a linearisation can mean, or carry a layer of the
+    shell through another or a hinge through 180 degrees; the share of it that is left."""
+    share = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
+    direction.scale(share)
+    admitted = problem.longest_step(y, direction)
+    direction.scale(admitted)
+    return share * admitted
+
+
+def test(snes: PETSc.SNES, iteration: int, y: PETSc.Vec, direction: PETSc.Vec, norm: float) -> int:
+    """Tells SNES of an iterate; the reason to stop, or 0."""
+    snes.setIterationNumber(iteration)
+    snes.setFunctionNorm(norm)
+    snes.logConvergenceHistory(norm, 0)
+    snes.monitor(iteration, norm)
+    if not np.isfinite(norm):
+        return NOT_FINITE
+    return snes.callConvergenceTest(iteration, y.norm(), direction.norm() if iteration else 0.0, norm)
+
+
+@dataclass
+class Stall:
+    """Whether a residual has stopped falling near the round-off of the unknowns."""
+
+    idle: int = 3  # steps without halving the residual after which round-off is suspected
+    near: float = 10.0  # times its round-off a residual is not worth more steps
+    far: float = (
+        1e3  # times the residual what seems round-off is a singular shape: no area, a hinge at 180 degrees
+    )
+    best: float = np.inf
+    waited: int = 0
+
+    def reached(self, problem: Problem, y: PETSc.Vec, norm: float) -> bool:
+        """Whether the iterate y with this norm (N) is where it ends."""
+        self.waited = 0 if norm < 0.5 * self.best else self.waited + 1
+        self.best = min(norm, self.best)
+        if self.waited < self.idle:
+            return False
+        noise = max(round_off(problem, y))
+        return norm / self.near < noise < self.far * norm

@@ -1,0 +1,1 @@
+"""Paths of equilibria: step lengths and load paths."""

@@ -1,0 +1,263 @@
+"""Quasi-static load paths: load steps around a cascade of methods, off unstable branches, to stable ends.
+
+With contact and friction the order of the steps matters. A leap is then a step in which the shell moves far more than
+supports and obstacles do and than the step before lets expect, or to an equilibrium that slip makes unstable: either
+the step was too long and Newton's method fell on another branch, or the shell snaps. Motion along a branch goes to
+zero with the load step, that of a snap does not: shorter steps tell them apart, and find where it snaps.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_of, contact_report, leads_through
+from voile.problem.discrete import Problem, difference
+from voile.problem.rest import field_vector
+from voile.problem.scales import slow_rate
+from voile.problem.state import State
+from voile.solver.equilibrium import Solver
+from voile.solver.methods.method import Outcome
+from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
+from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, smallest_eigenpair
+from voile.solver.stepping.control import StepControl
+
+
+@dataclass
+class Options:
+    """cuts: quartered load steps before all methods are tried; patient: the same where loads have no potential to
+    descend on. leap: times the motion to be expected that a step may make. notable: sizes of the shell; a smaller
+    motion is none. nearby: sizes; a gap at which an obstacle touches. rounds: solves at one load until the tolerance,
+    taken from the state, has settled."""
+
+    cuts: int = 2
+    patient: int = 8
+    leap: float = 5.0
+    notable: float = 0.01
+    nearby: float = 1e-3
+    rounds: int = 6
+
+
+class LoadPath:
+    """Follows the load of a problem from 0 to 1 from the unknowns y; `path` is told of everything.
+
+    Loads act in steps of 1/load_steps. Where the methods that follow a branch fail the step is cut; where cuts do not
+    help (buckling, slip that runs away) all methods take it; where that fails and nothing moves, the full load is
+    tried at once.
+    """
+
+    def __init__(self, problem: Problem, y: PETSc.Vec, options: StaticsOptions, path: Path):
+        self.problem, self.y, self.asked, self.path = problem, y, options, path
+        self.options = Options()
+        self.solver = Solver(problem, options)
+        path.counts = self.solver.work.counts
+        contact = problem.contact
+        cuts = self.options.cuts if problem.conservative else self.options.patient
+        if contact:
+            cuts = self.options.cuts if problem.supported else 0  # a smaller load holds nothing better
+        first = 1.0 / load_steps(problem, options)
+        self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0)
+        self.moving = problem.moves or bool(contact and contact.moves)
+
+    def follow(self, on_step: Progress | None) -> None:
+        """Calls on_step after each converged step."""
+        problem, y, control, path = self.problem, self.y, self.control, self.path
+        problem.load_factor = 0.0
+        self._begin()
+        while control.factor < 1.0:
+            if path.attempts >= self.asked.max_steps:
+                problem.load_factor = control.factor
+                path.reason = (
+                    f"max_steps = {self.asked.max_steps} load steps ended at load factor {control.factor:g}"
+                )
+                return
+            path.attempts += 1
+            problem.load_factor, start = control.target, problem.save(y)
+            if problem.contact and problem.contact.moves and not problem.held:
+                self._carry()
+            done, outcome = self._solve(control.last_resort)
+            problem.unknowns_of(start).copy(path.state)
+            if done is None:
+                problem.load_factor = control.factor
+                if not self._retry(outcome):
+                    path.reason = f"{outcome.reason}; at load factor {control.target:g}"
+                    return
+                continue
+            if problem.contact:
+                finished = self._judge(done, start)
+                if finished is None:
+                    continue
+                done = finished
+            else:
+                if control.target == 1.0 and self.asked.stability:
+                    done = self._settle(done)
+                control.done(done.iterations, 0.0, False)
+            y.copy(path.state)
+            path.steps.append(done)
+            if on_step:
+                on_step(done, y)
+            self._begin()
+        path.converged, path.reason = True, path.steps[-1].reason
+
+    def _begin(self) -> None:
+        """Slip is measured from here on."""
+        if self.problem.contact:
+            self.problem.contact.begin(self.problem.positions(self.y), self.problem.load_factor)
+
+    def _retry(self, outcome: Outcome) -> bool:
+        """Chooses the next try after a failure; False where there is none."""
+        problem, control = self.problem, self.control
+        if problem.contact and control.last_resort:
+            if control.nominal == 1.0 or self.moving or outcome.gone:
+                return False
+            control.whole()
+            return True
+        control.failed()
+        if not problem.contact and control.cuts == control.most and not problem.moves:
+            control.whole()
+        return not control.exhausted
+
+    # ---- one load step ----
+
+    def _solve(self, last_resort: bool, watched: bool = False) -> tuple[LoadStep | None, Outcome]:
+        """The equilibrium at the problem's load factor; no step where there is none. watched: by steps that do not
+        lead through obstacles."""
+        problem, solver, y = self.problem, self.solver, self.y
+        before, method = solver.work.counts.iterations, ""
+        for _ in range(self.options.rounds):  # loads that follow, and reactions, are others at the end
+            wanted = tolerance(problem, y, self.asked)
+            outcome = solver.solve(y, wanted, last_resort, watched and not method)
+            self.path.seconds |= {"linear_solve": solver.work.counts.seconds}
+            if problem.contact:
+                self.path.seconds |= {"contact": problem.contact.seconds}
+            if not outcome.converged:
+                return None, outcome
+            method = method or outcome.method  # the first one found it, later ones only sharpen it
+            if solver.norm <= tolerance(problem, y, self.asked):
+                break
+        else:
+            return None, Outcome(False, method, "the tolerance, taken from the state, does not settle")
+        done = LoadStep(
+            problem.load_factor,
+            solver.work.counts.iterations - before,
+            solver.norm,
+            wanted,
+            problem.energies(y),
+            solver.negative,
+            contact_report(problem, y) if problem.contact else None,
+            method,
+            outcome.reason or "residual below tolerance",
+        )
+        return done, outcome
+
+    def _judge(self, done: LoadStep, start: State) -> LoadStep | None:
+        """A converged step with contact: found again where it led through an obstacle, taken back (None) where it
+        leapt, brought to a stable end."""
+        problem, y, control = self.problem, self.y, self.control
+        assert start.history is not None
+        began = start.history.reference
+        if problem.held and leads_through(problem, began, control.factor, problem.positions(y)):
+            again = self._around(start)
+            done = again or replace(done, method=f"{done.method}, through an obstacle")
+        moved = problem.largest_motion(difference(y, problem.unknowns_of(start)))
+        stable = not self.asked.stability or done.negative == 0 or is_stable(self.solver.work, problem, y)
+        leaps = moved > self.options.leap * self._expected() or (control.stable and not stable)
+        if leaps and not control.shortest:
+            problem.restore(y, start)
+            problem.load_factor = control.factor
+            control.leapt()
+            return None
+        if self.asked.stability and (leaps or not stable or control.target == 1.0):
+            done, stable = self._settle_contact(done)
+        done.method = f"snap by {done.method}" if leaps and problem.supported else done.method
+        control.done(done.iterations, moved, leaps)
+        control.stable = stable
+        return done
+
+    def _around(self, start: State) -> LoadStep | None:
+        """The load step again in pseudo-time, in steps that do not lead through obstacles, from where it began; None,
+        and y as it is, where that has no end."""
+        problem, y = self.problem, self.y
+        leapt = problem.save(y)
+        problem.restore(y, start)
+        done, _ = self._solve(True, watched=True)
+        if done is None:
+            problem.restore(y, leapt)
+        return done
+
+    def _carry(self) -> None:
+        """Moves a shell that nothing holds with the obstacle that bears it, or else touches most of it, over the next
+        load step, where there is friction: it starts where it sticks, however far that is."""
+        problem, y, control = self.problem, self.y, self.control
+        contact, x = contact_of(problem), problem.positions(y)
+        bears = np.array(
+            [normal[problem.own].sum() for normal in contact.state.normal[: len(contact.obstacles)]]
+        )
+        limit = self.options.nearby * problem.size()
+        near = [contact.gap(k, x, control.factor) <= limit for k in range(len(bears))]
+        touches = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
+        bears, touches = problem.comm.allreduce(np.array([bears, touches]))
+        most = int(np.argmax(bears if bears.any() else touches))
+        if (bears[most] or touches[most]) and contact.obstacles[most].friction > 0.0:
+            there = contact.obstacles[most].carry(x, control.factor, control.target)
+            y.axpy(1.0, field_vector(problem, there - x))
+
+    def _expected(self) -> float:
+        """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or
+        of obstacles beside the shell."""
+        problem, control = self.problem, self.control
+        start, end, contact = control.factor, control.target, contact_of(problem)
+        x = contact.state.reference[problem.own]
+        paths = [(end - start) * problem.part.lift[: contact.state.reference.size]]
+        paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
+        farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
+        driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+        return max(control.rate * (end - start), driven, self.options.notable / self.options.leap)
+
+    # ---- stable ends ----
+
+    def _settle_contact(self, done: LoadStep) -> tuple[LoadStep, bool]:
+        """Tests a state on the contacts' tangent space; leaves a saddle, which slip may have hidden so far. The step,
+        and whether it is stable, which the path says of its end."""
+        problem, y, work = self.problem, self.y, self.solver.work
+        stable, value = done.negative == 0 or is_stable(work, problem, y), None
+        if not stable and self.solver.leave_saddle(y, done.tolerance):
+            self._begin()
+            again, _ = self._solve(False)
+            done, stable = again or done, is_stable(work, problem, y)
+        if problem.load_factor == 1.0:
+            if self.asked.eigenvalue or not stable:
+                scale = 0.0 if stable else slow_rate(problem)
+                matrix = contact_tangent(problem, y, work.matrix)
+                value, _ = smallest_eigenpair(problem, matrix, scale, work.counts)
+                stable = value >= -NEUTRAL * slow_rate(problem)  # a spin about a single contact has none
+            self.path.stable, self.path.smallest_eigenvalue = stable, value
+        return done, stable
+
+    def _settle(self, done: LoadStep) -> LoadStep:
+        """Tests the end of a path without contact; where it is a saddle, leaves it along its softest mode and
+        minimises again."""
+        problem, y, path, work = self.problem, self.y, self.path, self.solver.work
+        for further in range(6):
+            path.stable = done.negative == 0 or is_stable(work, problem, y)
+            if path.stable or further == 5:
+                break
+            problem.tangent(y, work.matrix)
+            value, mode = smallest_eigenpair(problem, work.matrix, slow_rate(problem), work.counts)
+            path.smallest_eigenvalue = value
+            if not value < 0.0:
+                break
+            before = problem.save(y)
+            y.axpy(self.asked.perturbation * problem.thickness() * 4.0**further, mode)
+            again, _ = self._solve(True)
+            if again is None:
+                problem.restore(y, before)
+                continue
+            done = again
+        if path.stable:
+            path.smallest_eigenvalue = None
+        if path.stable and self.asked.eigenvalue:
+            problem.tangent(y, work.matrix)
+            path.smallest_eigenvalue, _ = smallest_eigenpair(problem, work.matrix, 0.0, work.counts)
+        return done
