@@ -20,7 +20,7 @@ from voile.problem.contact import attach, contact_fields, contact_report, shell_
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 from voile.results import read_result, read_summary
-from voile.solver import pseudo_time
+from voile.solver.methods import pseudo_transient
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -200,7 +200,7 @@ def test_a_patch_sticks_to_another_on_an_incline(angle):
 
 def test_a_patch_slides_off_another(monkeypatch):
     """At mu = 0.999 tan(angle) no equilibrium: it creeps down, however little."""
-    monkeypatch.setattr(pseudo_time, "GONE", 2e-4)  # sizes
+    monkeypatch.setattr(pseudo_transient, "GONE", 2e-4)  # sizes
     path, _, _ = stack(0.999 * np.tan(np.radians(20.0)), np.radians(20.0))
     assert not path.converged and "it moves along (1.000, " in path.reason
     assert "itself (friction 0.363606)" in path.reason

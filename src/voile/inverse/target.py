@@ -135,7 +135,7 @@ class Target:
         """The present loads, at load factor 1."""
         problem, part = self.problem, self.problem.part
         n = len(part.vertex)
-        load = (problem.weight_force()[: 3 * n] + part.force[: 3 * n]).reshape(-1, 3)
+        load = (problem.loads.weight[: 3 * n] + part.force[: 3 * n]).reshape(-1, 3)
         size = np.linalg.norm(load, axis=1)
         total = problem.comm.allreduce(np.array([size[problem.own].sum(), float(problem.own.sum())]))
         mean = total[0] / total[1]

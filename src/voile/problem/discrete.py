@@ -14,7 +14,7 @@ from voile.problem.elastic import has_directors, make_kernel
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, rim_is_free
 from voile.problem.state import State
 from voile.problem.terms import AugmentedContact, Inertia, Point, Term, mass_blocks
 
@@ -35,7 +35,7 @@ class Problem:
         self.comm = comm
         settings = None
         if shell is not None:
-            follower = bool(shell.pressure and _free_rim(shell)) or shell.moment is not None
+            follower = bool(shell.pressure and rim_is_free(shell)) or shell.moment is not None
             settings = (
                 shell.model,
                 np.asarray(shell.gravity, float),
@@ -126,8 +126,6 @@ class Problem:
         own = column < self.part.owned
         y.array[column[own]] = dofs[single[own]]
 
-    # ---- layout ----
-
     def _make_vectors(self) -> None:
         part = self.part
         self.unknowns = int(self.comm.allreduce(part.owned))
@@ -212,9 +210,9 @@ class Problem:
         forces = self._forces(y)
         at = Point(self.positions(y), self.load_factor)
         for term in self.terms:
-            given = reactions is not None and isinstance(term, AugmentedContact)
-            forces[: self._size[0]] -= (reactions if given else term.force(at)).ravel()
-        if reactions is not None and not self.contact:
+            if reactions is None or not isinstance(term, AugmentedContact):
+                forces[: self._size[0]] -= term.force(at).ravel()
+        if reactions is not None:
             forces[: self._size[0]] -= reactions.ravel()
         f.array[:] = self._collect @ forces
 
@@ -370,8 +368,6 @@ class Problem:
         """Whether something holds on all ranks."""
         return bool(self.comm.allreduce(here, op=MPI.LAND))
 
-    # ---- scales ----
-
     def largest_motion(self, direction: PETSc.Vec) -> float:
         """Largest displacement component of a direction of the unknowns over the shell's size."""
         u, _ = self._spread(direction)
@@ -401,16 +397,3 @@ class Problem:
 
     def _positions(self, u: np.ndarray) -> np.ndarray:
         return self.part.points + (self._base + u).reshape(-1, 3)
-
-
-def _free_rim(shell: Shell) -> bool:
-    """Whether some boundary vertex can move."""
-    rim = shell.topology.edges[shell.topology.boundary_edges]
-    return bool(len(rim)) and not bool(shell.fixed[rim].all())
-
-
-def difference(a: PETSc.Vec, b: PETSc.Vec) -> PETSc.Vec:
-    """a - b."""
-    result = a.duplicate()
-    result.waxpy(-1.0, b, a)
-    return result

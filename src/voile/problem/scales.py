@@ -12,7 +12,7 @@ def slow_rate(problem: Problem) -> float:
     weak loads that of the slowest elastic waves."""
     part, rows = problem.part, problem.own_dofs()
     count = len(rows)
-    force = (problem.weight_force() + part.force)[:count][rows]
+    force = (problem.loads.weight + part.force)[:count][rows]
     mass = part.mass[:count][rows]
     wave = (
         part.fabric[1] @ part.weight / max(part.fabric[3] @ part.weight, 1e-300) if len(part.weight) else 0.0

@@ -14,3 +14,10 @@ class State:
     unknowns: PETSc.Vec
     origin: PETSc.Vec
     history: History | None
+
+
+def difference(a: PETSc.Vec, b: PETSc.Vec) -> PETSc.Vec:
+    """a - b."""
+    result = a.duplicate()
+    result.waxpy(-1.0, b, a)
+    return result

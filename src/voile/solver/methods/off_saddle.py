@@ -6,6 +6,7 @@ from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
 from voile.solver.cascade import attempt
 from voile.solver.methods.method import Method, Outcome, Workspace
+from voile.solver.methods.pseudo_transient import PseudoTransient
 from voile.solver.stability import KICKS, NEUTRAL, kick
 
 
@@ -15,14 +16,14 @@ class OffSaddle:
 
     name = "off a saddle"
 
-    def __init__(self, work: Workspace, minimise: Method, transient: Method, perturbation: float):
+    def __init__(self, work: Workspace, minimise: Method, transient: PseudoTransient, perturbation: float):
         self.work, self.minimise, self.transient = work, minimise, transient
         self.perturbation = perturbation
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method; y starts at the saddle."""
         if not problem.supported:
-            return attempt(self.transient, problem, y, tolerance)
+            return self.transient.leave(problem, y, tolerance)
         saddle = problem.save(y)
         outcome = Outcome(False, self.name, "no way off the saddle")
         for further in range(KICKS):

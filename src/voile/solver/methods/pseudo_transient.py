@@ -11,10 +11,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, leads_through
-from voile.problem.discrete import Problem, difference
+from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
 from voile.problem.scales import round_off, slow_rate
-from voile.problem.state import State
+from voile.problem.state import State, difference
 from voile.solver.cascade import attempt
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome, Workspace
@@ -28,25 +28,29 @@ GONE = 1.0  # sizes of the shell after which it has slid away
 class Options:
     """Rates are inverse squares of step lengths (1/s^2) over the slow rate g/size.
 
-    steps at most. first_rate: a step of 0.3 sqrt(size/g), the longest that descents finish in some 40 iterations on
-    sheets over a ball (0.5 takes twice as many in all). fresh_rate: while no contact bears yet there is no friction
-    either; such a step must move less than `fresh` sizes, which it does at this rate. last_rate: hopeless. fade: of
-    the rate after an easy step, `easy` iterations at most; raise_: after one that failed. iterations of a descent;
-    rough: its tolerance over the loads or the norm that it starts with; drapes take half as many iterations as with
-    0.1. near: inertia over the loads under which the semismooth method is tried, and again when it fell to a third.
-    blurred: of the tolerance, beyond which the round-off of large unknowns makes them be counted anew.
+    steps at most. first_rate: a step of 0.3 sqrt(size/g), the longest that descents finish in some 40
+    iterations on sheets over a ball (0.5 takes twice as many in all). fresh_rate: while no contact bears yet there is
+    no friction either; such a step must move less than `fresh` sizes, which it does at this rate. last_rate: hopeless.
+    fade: of the rate after a fair step, its square after an easy one, of at most so many iterations; raise_: after one
+    that failed. iterations of a descent; rough: its tolerance over the loads or the norm that it starts with; drapes
+    take half as many iterations as with 0.1. sharpest: over the loads, no step needs less, and differences of the
+    potential drown in round-off there. near: inertia over the loads under which the semismooth method is tried,
+    and again when it fell to a third. blurred: of the tolerance, beyond which the round-off of large unknowns makes
+    them be counted anew.
     """
 
     steps: int = 300
     first_rate: float = 11.0
-    fresh_rate: float = 100.0
+    fresh_rate: float = 150.0
     fresh: float = 0.01
     last_rate: float = 1e7
-    fade: float = 1.0 / 9.0
+    fade: float = 1.0 / 3.0
     raise_: float = 4.0
     easy: int = 4
+    fair: int = 10
     iterations: int = 100
     rough: float = 0.3
+    sharpest: float = 1e-5
     near: float = 0.01
     blurred: float = 0.1
 
@@ -69,12 +73,26 @@ class PseudoTransient:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
+        return self._follow(problem, y, tolerance, None)
+
+    def leave(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """As `solve`, from a saddle."""
+        return self._follow(problem, y, tolerance, problem.save(y))
+
+    def _follow(self, problem: Problem, y: PETSc.Vec, tolerance: float, saddle: State | None) -> Outcome:
         options, slow, contact = self.options, slow_rate(problem), contact_of(problem)
         loads, start = max(problem.load_norm(y), tolerance / 1e-8), problem.save(y)
         fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
         rate, kicks, peak = (options.fresh_rate if fresh else options.first_rate) * slow, 0, np.inf
         slips = not contact.moves  # what sticks has gone along with moving obstacles
         for _ in range(options.steps):
+            if saddle:
+                if kicks == KICKS:
+                    return self._failed("no way off a saddle")
+                growth = kick(self.work, problem, y, saddle, self.perturbation, kicks)
+                if growth <= NEUTRAL * slow:
+                    return Outcome(True, self.name)
+                kicks, rate, peak, saddle = kicks + 1, 2.0 * growth, 0.0, None
             before = problem.save(y)
             if slips:
                 contact.begin(problem.positions(y), problem.load_factor)
@@ -103,25 +121,22 @@ class PseudoTransient:
             found = self._arrives(problem, y, tolerance, start)
             if found.converged:
                 return found
-            if not found.saddle or self._beside(problem, y, found.saddle, kicks):
-                continue
-            if kicks == KICKS:
-                return self._failed("no way off a saddle")
-            growth = kick(self.work, problem, y, found.saddle, self.perturbation, kicks)
-            if growth <= NEUTRAL * slow:
-                return Outcome(True, self.name)
-            kicks, rate, peak = kicks + 1, 2.0 * growth, 0.0
+            if found.saddle and not self._beside(problem, y, found.saddle, kicks):
+                saddle = found.saddle
         return self._failed(f"{options.steps} steps of pseudo-time did not settle")
 
     def _failed(self, reason: str) -> Outcome:
         return Outcome(False, self.name, reason)
 
     def _next(self, rate: float, slow: float) -> float:
-        """The rate after a step that converged: longer steps where it was easy, and back to the first length."""
-        if self.descent.nonlinear.iterations <= self.options.easy:
-            return self.options.fade * rate
-        first = self.options.first_rate * slow
-        return max(first, self.options.fade * rate) if rate > first else rate
+        """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
+        options, iterations = self.options, self.descent.nonlinear.iterations
+        first = options.first_rate * slow
+        if iterations <= options.easy:
+            return options.fade**2 * rate
+        if iterations <= options.fair:
+            return options.fade * rate
+        return max(first, options.fade**2 * rate) if rate > first else min(first, rate / options.fade)
 
     def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         """Whether the step from a state to y may be taken."""
@@ -137,7 +152,7 @@ class PseudoTransient:
         problem.residual(y, f)
         if not contact.itself:  # layers take long to settle again
             disturb(problem, y, self.perturbation)
-        rough = max(tolerance, options.rough * min(f.norm(), loads))
+        rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         done = self.descent.run(problem, y, rough, options.iterations)
         if fresh and problem.largest_motion(difference(y, home)) > options.fresh:
             return None

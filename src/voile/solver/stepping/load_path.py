@@ -13,10 +13,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, contact_report, leads_through
-from voile.problem.discrete import Problem, difference
+from voile.problem.discrete import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
-from voile.problem.state import State
+from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Outcome
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
