@@ -12,10 +12,11 @@ MAX_LINES = 400
 # Package or module of voile -> what of voile it may import beside itself and voile.errors.
 ALLOWED = {
     "errors": set(),
-    "scene": set(),
+    "keys": set(),
     "mesh": set(),
     "elastic": {"_kernels", "mesh"},
-    "contact": {"_kernels", "_friction", "mesh"},
+    "contact": {"_kernels", "_friction", "keys", "mesh"},
+    "scene": {"keys", "contact"},
     "problem": {"_kernels", "_petsc", "mesh", "elastic", "contact"},
     "solver": {"_kernels", "_friction", "mesh", "elastic", "contact", "problem"},
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},

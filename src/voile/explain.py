@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from voile.contact.field import MeshBody
 from voile.elastic import model_name
 from voile.problem.shell import Shell
 from voile.scene import Scene
@@ -122,13 +121,7 @@ def _obstacles(model: Model) -> list[str]:
         gap = obstacle.gap(model.shell.points, 0.0) - model.offset
         touching = int((gap <= 0.0).sum())
         start = f"{touching} vertices touch it at the start" if touching else f"starts {gap.min():.3g} m off"
-        exact = "exact distance"
-        if isinstance(obstacle, MeshBody):
-            exact = (
-                f"{len(obstacle.triangles)} triangles as a smooth distance field: spacing {obstacle.spacing:.3g} m, "
-                f"largest error {obstacle.measured:.2g} m"
-            )
-        lines.append(f"obstacle  {obstacle.name}: {exact}; {start}")
+        lines.append(f"obstacle  {obstacle.name}: {obstacle.about()}; {start}")
     return lines
 
 

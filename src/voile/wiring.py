@@ -1,23 +1,19 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by cli only."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from voile.contact import obstacles
-from voile.contact.field import MeshBody, mesh_body
-from voile.contact.obstacles import Motion, Obstacle
-from voile.contact.surfaces import surface
+from voile.contact.obstacles import SHAPES, Motion, Obstacle
 from voile.elastic import model_name
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_body, read_mesh, read_rest, select
+from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
-from voile.scene.schema import Obstacle as ObstacleSpec
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
@@ -216,46 +212,22 @@ def _moments(
     return total
 
 
-_SHAPES = {
-    "plane": obstacles.Plane,
-    "sphere": obstacles.Sphere,
-    "cylinder": obstacles.Cylinder,
-    "capsule": obstacles.Capsule,
-    "cone": obstacles.Cone,
-    "torus": obstacles.Torus,
-    "ellipsoid": obstacles.Ellipsoid,
-    "box": obstacles.Box,
-}
-
-
 def build_obstacles(scene: Scene) -> list[Obstacle]:
     """The scene's obstacles in the order of the file."""
     found: list[Obstacle] = []
     for k, spec in enumerate(scene.obstacle):
-        move = spec.move
-        motion = Motion()
+        move, motion = spec.move, Motion()
         if move is not None:
             motion = Motion(
                 displacement=np.array(move.displacement),
                 rotation=np.array(move.rotation),
                 center=np.array(move.center),
             )
-        common = {"name": f"{spec.shape} {k}", "friction": spec.friction, "motion": motion}
-        if spec.shape == "mesh":
-            found.append(_body(spec, common))
-            continue
-        shape = _SHAPES[spec.shape]
-        own = {f.name for f in fields(shape)} - set(common)
-        values = {name: getattr(spec, name) for name in own}
-        geometry = {n: np.array(v, dtype=float) if isinstance(v, tuple) else v for n, v in values.items()}
-        found.append(shape(**common, **geometry))
+        body = SHAPES[spec.shape]
+        found.append(
+            body.build(spec.geometry(), name=f"{spec.shape} {k}", friction=spec.friction, motion=motion)
+        )
     return found
-
-
-def _body(spec: ObstacleSpec, common: dict) -> MeshBody:
-    assert spec.file is not None  # the schema demands it
-    points, triangles = read_body(spec.file, spec.scale)
-    return mesh_body(points + spec.translate, triangles, spec.resolution, str(spec.file), **common)
 
 
 def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str, limit: float) -> None:
@@ -286,7 +258,7 @@ def static_mesh(model: Model, shell: Shell, directors: bool) -> StaticMesh:
         group=model.surface.group,
         group_names=model.surface.group_names,
         point_data={"input_vertex": model.surface.input_vertex},
-        bodies=tuple(Body(o.name, o.friction, *surface(o, bounds)) for o in model.obstacles),
+        bodies=tuple(Body(o.name, o.friction, *o.surface(bounds)) for o in model.obstacles),
     )
 
 
