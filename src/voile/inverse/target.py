@@ -9,9 +9,9 @@ import scipy.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import FIRM, FREE, STICK, dot, margin, outer, within
-from voile.contact.self_contact import Layers
 from voile.contact.state import Contact
 from voile.errors import NotConverged
 from voile.inverse.bounds import Bounds
