@@ -16,7 +16,7 @@ ALLOWED = {
     "mesh": set(),
     "elastic": {"_kernels", "mesh"},
     "contact": {"_kernels", "_friction", "keys", "mesh"},
-    "scene": {"keys", "contact"},
+    "scene": {"keys", "elastic", "contact"},
     "problem": {"_kernels", "_petsc", "mesh", "elastic", "contact"},
     "solver": {"_kernels", "_friction", "mesh", "elastic", "contact", "problem"},
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},

@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from voile import _kernels
+from voile.elastic import BENDING, MATERIALS, MODELS, has_directors, model_name, model_of
 from voile.results import read_result
 
 # A slab between two parallel planes: keys, distance and drawing surface, and nothing else anywhere.
@@ -124,3 +126,23 @@ def test_its_keys_are_in_the_schema_and_checked(voile, tmp_path):
         (tmp_path / "bad.toml").write_text(SCENE + OBSTACLES["slab"].replace(old, new))
         done = voile("explain", "bad.toml")
         assert done.returncode == 2 and message in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("bending", BENDING)
+@pytest.mark.parametrize("model", MODELS)
+def test_the_table_of_models_says_what_the_kernels_are(model, bending, material):
+    name = model_name(model, bending, material)
+    corner = np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32)
+    edge = np.array([[0, 1, 2], [3, 0, 4]], dtype=np.int32)  # across from each corner
+    sign = np.array([[1, -1, 1], [1, -1, -1]], dtype=np.int32)
+    across = np.array([[4, -1, -1], [-1, 0, -1]], dtype=np.int32)
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    kernel = _kernels.Elastic(name, corner, edge, sign, across, 5, x)
+    kernel.set_rest(x, corner, True)
+    kernel.set_fabric(*(np.full(2, value) for value in (1e-2, 1e6, 0.3)))
+    kernel.set_weights(np.ones(2))
+    folded = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    bent = kernel.energy(folded, np.zeros(5))[1]
+    assert kernel.directors == has_directors(name)
+    assert (bent > 0.0) == model_of(name).bends

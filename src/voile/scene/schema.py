@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from voile.elastic import BENDING, MATERIALS, MODELS, PLANNED
 from voile.keys import (
     Array,
     Axes,
@@ -66,13 +67,9 @@ class Shell:
         default=None,
     )
     scale: float = key(Number("m", above=0), "metres per unit of the mesh files", default=1.0)
-    model: str = key(
-        Choice("koiter", "discrete-shells", "membrane", "projective"), "elastic model", default="koiter"
-    )
-    bending: str = key(
-        Choice("average", "sin", "tan", "theta"), "mid-edge normals of the Koiter model", default="tan"
-    )
-    material: str = key(Choice("stvk", "neo-hookean", "tension-field"), "material law", default="stvk")
+    model: str = key(Choice(*MODELS, *PLANNED), "elastic model", default="koiter")
+    bending: str = key(Choice(*BENDING), "mid-edge normals of the Koiter model", default="tan")
+    material: str = key(Choice(*MATERIALS), "material law", default="stvk")
     young: float = key(YOUNG, "Young's modulus")
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
@@ -240,7 +237,7 @@ def unsupported(scene: Scene) -> list[str]:
     inverse = scene.scene.task == "inverse"
     asked = {
         f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
-        f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
+        f'shell.model = "{scene.shell.model}"': scene.shell.model in PLANNED,
         "contact.self_contact = true with inverse.estimate": inverse
         and scene.contact.self_contact
         and bool(scene.inverse.estimate),
