@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from voile.contact.obstacles import SHAPES, Motion, Obstacle
-from voile.elastic import model_name
+from voile.elastic import has_directors, model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
@@ -77,6 +77,12 @@ def build_model(scene: Scene) -> Model:
         raise InputError(
             f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"
         )
+    _check_unknowns(shell, f"{scene.path}: fix")
+    if scene.inverse.seam_allowance > size:
+        raise InputError(
+            f"{scene.path}: inverse.seam_allowance: {scene.inverse.seam_allowance:g} m; allowed: at most the shell's "
+            f"size, {size:.4g} m"
+        )
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         notes += _gaping(shell, size, spec.mesh)
     if bodies:
@@ -89,6 +95,15 @@ def build_model(scene: Scene) -> Model:
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     return Model(shell, surface, rest, notes, bodies, offset, cuts)
+
+
+def _check_unknowns(shell: Shell, where: str) -> None:
+    """Raises InputError, naming the key `where`, if the supports leave nothing to solve for."""
+    free = ~shell.fixed
+    free[shell.slave] = False  # they follow what they are sewn to
+    angles = has_directors(shell.model) and len(shell.clamped_edges) < len(shell.topology.edges)
+    if not (free.any() or angles):
+        raise InputError(f"{where} holds every vertex and edge; allowed: supports that leave something free")
 
 
 def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:

@@ -20,6 +20,8 @@ from voile.contact.surfaces import AROUND, revolve, stretch, unit_sphere
 from voile.keys import File, Number, Rejected, Vector3, key, vector
 from voile.mesh import read_body
 
+LONGEST = 1e6  # half axis of an ellipsoid over the shortest: their squares keep four digits beside each other
+
 __all__ = ["SHAPES", "Motion", "Obstacle"]
 
 
@@ -170,6 +172,14 @@ class Torus(Obstacle, shape="torus"):
 class Ellipsoid(Obstacle, shape="ellipsoid"):
     center: np.ndarray = key(vector("m"), "centre")
     radii: np.ndarray = key(vector("m", above=0), "half axes along x, y, z")
+
+    @classmethod
+    def check(cls, table):
+        if max(table.radii) > LONGEST * min(table.radii):
+            raise Rejected(
+                f"{list(table.radii)}; allowed: the longest at most {LONGEST:g} times the shortest",
+                ("radii",),
+            )
 
     def derivatives(self, p):
         squares = np.asarray(self.radii, dtype=float) ** 2
