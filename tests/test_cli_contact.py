@@ -10,7 +10,6 @@ import pytest
 
 from voile.cli import main
 from voile.contact.obstacles import Box
-from voile.contact.surfaces import surface
 from voile.post.contact import surfaces
 from voile.results import read_result, read_summary
 
@@ -50,7 +49,7 @@ def scene(tmp_path):
     first = (np.arange(CELLS)[:, None] * (CELLS + 1) + np.arange(CELLS)).ravel()
     right, both = first + CELLS + 1, first + CELLS + 2
     triangles = np.concatenate([np.column_stack(t) for t in ((first, right, both), (first, both, first + 1))])
-    cube = surface(Box(center=np.zeros(3), sizes=np.full(3, 0.1)), np.zeros((2, 3)))
+    cube = Box(center=np.zeros(3), sizes=np.full(3, 0.1)).surface(np.zeros((2, 3)))
 
     def write(text: str = SCENE):
         (tmp_path / "sheet.obj").write_text(obj(np.column_stack([x, y, 0 * x]), triangles))

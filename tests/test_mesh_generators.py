@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mesh_helpers import GENERATORS, areas, generator, loops_of, normals
 
-from voile.contact.field import mesh_body
+from voile.contact.obstacles import MeshBody
 from voile.mesh import (
     build_topology,
     read_mesh,
@@ -199,7 +199,7 @@ def test_a_fitted_body_keeps_its_clearance_from_the_garment(tmp_path, garment):
     tight = depth < below / 2
     assert clearance - chord < gap.min() and gap[tight].max() < clearance + 2 * chord
     assert (gap > clearance + slope * np.maximum(depth - below - radius, 0) - chord).all()
-    field = mesh_body(body.points, body.triangles, resolution=0.012)
+    field = MeshBody.around(body.points, body.triangles, resolution=0.012)
     assert field.gap(cloth.points, 0.0).min() > 0 and field.error() < clearance
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from voile.contact.field import MeshBody
-from voile.elastic import model_name
+from voile.elastic import MODELS, has_directors
 from voile.problem.shell import Shell
 from voile.scene import Scene
 from voile.wiring import Model, weight
@@ -15,19 +14,19 @@ STIFFNESS_RATIO = 1e-12  # (thickness/size)^2 under which bending stiffness is l
 def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
     """(feature, kept or left out, reason) for every term and unknown the program knows."""
     shell, spec = model.shell, scene.shell
-    koiter = spec.model == "koiter"
-    bends, directors = spec.model != "membrane", koiter and spec.bending != "average"
+    row, directors = MODELS[spec.model], has_directors(shell.model)
+    bends = row.bends
     inner = int((shell.topology.across >= 0).sum()) // 2
     rows = [
         (
             "stretching",
             True,
-            f"material {spec.material}" if spec.model != "discrete-shells" else "lengths and areas",
+            f"material {spec.material}" if row.material else "lengths and areas",
         ),
         (
             "bending",
             bends,
-            f"model {spec.model}, {inner} hinges" if bends else "a membrane has no bending stiffness",
+            f"model {spec.model}, {inner} hinges" if bends else f"a {spec.model} has no bending stiffness",
         ),
         (
             "director angles",
@@ -35,7 +34,9 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
             f"one unknown per edge for bending = {spec.bending!r}"
             if directors
             else (
-                "mid-edge normals are averages of the faces'" if koiter else f"model {spec.model} has none"
+                "mid-edge normals are averages of the faces'"
+                if row.normals
+                else f"model {spec.model} has none"
             ),
         ),
         (
@@ -122,13 +123,7 @@ def _obstacles(model: Model) -> list[str]:
         gap = obstacle.gap(model.shell.points, 0.0) - model.offset
         touching = int((gap <= 0.0).sum())
         start = f"{touching} vertices touch it at the start" if touching else f"starts {gap.min():.3g} m off"
-        exact = "exact distance"
-        if isinstance(obstacle, MeshBody):
-            exact = (
-                f"{len(obstacle.triangles)} triangles as a smooth distance field: spacing {obstacle.spacing:.3g} m, "
-                f"largest error {obstacle.measured:.2g} m"
-            )
-        lines.append(f"obstacle  {obstacle.name}: {exact}; {start}")
+        lines.append(f"obstacle  {obstacle.name}: {obstacle.about()}; {start}")
     return lines
 
 
@@ -176,7 +171,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"{scene.scene.name or scene.path}: {scene.scene.task}",
         f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m",
         f"file      {model.surface.source}",
-        f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
+        f"model     {shell.model}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model)}; PETSc options after --",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
@@ -187,9 +182,10 @@ def explain(scene: Scene, model: Model) -> str:
     width = max(len(name) for name, _, _ in rows)
     lines += [f"  {'+' if keep else '-'} {name:<{width}}  {reason}" for name, keep, reason in rows]
     lines += [f"  note: {note}" for note in model.notes]
-    if (scene.shell.model, scene.shell.bending) == ("koiter", "average") and _repeats_cells(shell):
+    if MODELS[scene.shell.model].normals and not has_directors(shell.model) and _repeats_cells(shell):
         lines.append(
-            "  note: bending = 'average' may settle some per cent off on this mesh of repeated cells; 'tan' converges"
+            f"  note: bending = {scene.shell.bending!r} may settle some per cent off on this mesh of repeated cells; "
+            "'tan' converges"
         )
     if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
         lines.append(

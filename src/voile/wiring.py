@@ -1,23 +1,19 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by cli only."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from voile.contact import obstacles
-from voile.contact.field import MeshBody, mesh_body
-from voile.contact.obstacles import Motion, Obstacle
-from voile.contact.surfaces import surface
-from voile.elastic import model_name
+from voile.contact.obstacles import SHAPES, Motion, Obstacle
+from voile.elastic import has_directors, model_name
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_body, read_mesh, read_rest, select
+from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
-from voile.scene.schema import Obstacle as ObstacleSpec
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
@@ -81,6 +77,12 @@ def build_model(scene: Scene) -> Model:
         raise InputError(
             f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"
         )
+    _check_unknowns(shell, f"{scene.path}: fix")
+    if scene.inverse.seam_allowance > size:
+        raise InputError(
+            f"{scene.path}: inverse.seam_allowance: {scene.inverse.seam_allowance:g} m; allowed: at most the shell's "
+            f"size, {size:.4g} m"
+        )
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         notes += _gaping(shell, size, spec.mesh)
     if bodies:
@@ -93,6 +95,15 @@ def build_model(scene: Scene) -> Model:
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     return Model(shell, surface, rest, notes, bodies, offset, cuts)
+
+
+def _check_unknowns(shell: Shell, where: str) -> None:
+    """Raises InputError, naming the key `where`, if the supports leave nothing to solve for."""
+    free = ~shell.fixed
+    free[shell.slave] = False  # they follow what they are sewn to
+    angles = has_directors(shell.model) and len(shell.clamped_edges) < len(shell.topology.edges)
+    if not (free.any() or angles):
+        raise InputError(f"{where} holds every vertex and edge; allowed: supports that leave something free")
 
 
 def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
@@ -216,46 +227,22 @@ def _moments(
     return total
 
 
-_SHAPES = {
-    "plane": obstacles.Plane,
-    "sphere": obstacles.Sphere,
-    "cylinder": obstacles.Cylinder,
-    "capsule": obstacles.Capsule,
-    "cone": obstacles.Cone,
-    "torus": obstacles.Torus,
-    "ellipsoid": obstacles.Ellipsoid,
-    "box": obstacles.Box,
-}
-
-
 def build_obstacles(scene: Scene) -> list[Obstacle]:
     """The scene's obstacles in the order of the file."""
     found: list[Obstacle] = []
     for k, spec in enumerate(scene.obstacle):
-        move = spec.move
-        motion = Motion()
+        move, motion = spec.move, Motion()
         if move is not None:
             motion = Motion(
                 displacement=np.array(move.displacement),
                 rotation=np.array(move.rotation),
                 center=np.array(move.center),
             )
-        common = {"name": f"{spec.shape} {k}", "friction": spec.friction, "motion": motion}
-        if spec.shape == "mesh":
-            found.append(_body(spec, common))
-            continue
-        shape = _SHAPES[spec.shape]
-        own = {f.name for f in fields(shape)} - set(common)
-        values = {name: getattr(spec, name) for name in own}
-        geometry = {n: np.array(v, dtype=float) if isinstance(v, tuple) else v for n, v in values.items()}
-        found.append(shape(**common, **geometry))
+        body = SHAPES[spec.shape]
+        found.append(
+            body.build(spec.geometry(), name=f"{spec.shape} {k}", friction=spec.friction, motion=motion)
+        )
     return found
-
-
-def _body(spec: ObstacleSpec, common: dict) -> MeshBody:
-    assert spec.file is not None  # the schema demands it
-    points, triangles = read_body(spec.file, spec.scale)
-    return mesh_body(points + spec.translate, triangles, spec.resolution, str(spec.file), **common)
 
 
 def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str, limit: float) -> None:
@@ -286,7 +273,7 @@ def static_mesh(model: Model, shell: Shell, directors: bool) -> StaticMesh:
         group=model.surface.group,
         group_names=model.surface.group_names,
         point_data={"input_vertex": model.surface.input_vertex},
-        bodies=tuple(Body(o.name, o.friction, *surface(o, bounds)) for o in model.obstacles),
+        bodies=tuple(Body(o.name, o.friction, *o.surface(bounds)) for o in model.obstacles),
     )
 
 

@@ -4,7 +4,8 @@ import igl
 import numpy as np
 import pytest
 
-from voile.contact.field import MeshBody, mesh_body, signed_distance
+from voile.contact.field import signed_distance
+from voile.contact.obstacles import MeshBody
 from voile.errors import InputError
 from voile.mesh import read_mesh
 
@@ -40,14 +41,14 @@ def points_between(low: float, high: float, count: int = 2000) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def sphere() -> MeshBody:
-    return mesh_body(*ball())
+    return MeshBody.around(*ball())
 
 
 def test_error_falls_with_the_square_of_the_mesh_size():
     p = points_between(1.0, 1.1)
     errors = []
     for level in (3, 4, 5):
-        body = mesh_body(*ball(level), resolution=0.6 * 0.5**level)
+        body = MeshBody.around(*ball(level), resolution=0.6 * 0.5**level)
         errors.append(np.abs(body.gap(p, 0.0) - (np.linalg.norm(p, axis=1) - 1.0)).max())
         exact = signed_distance(body.points, body.triangles, body.triangles, p)
         assert np.abs(body.gap(p, 0.0) - exact).max() < 1.5 * body.error()
@@ -89,7 +90,7 @@ def test_second_derivatives_are_continuous_across_the_cells(sphere):
 
 def test_overlapping_pieces_are_their_union():
     left, right = np.array([-0.6, 0.0, 0.0]), np.array([0.6, 0.0, 0.0])
-    body = mesh_body(*together(ball(4, tuple(left)), ball(4, tuple(right))))
+    body = MeshBody.around(*together(ball(4, tuple(left)), ball(4, tuple(right))))
     p = points_between(0.0, 2.0, 4000)
     exact = np.minimum(np.linalg.norm(p - left, axis=1), np.linalg.norm(p - right, axis=1)) - 1.0
     near = (exact > 0.0) & (exact < 0.2)
@@ -108,7 +109,7 @@ def test_a_small_hole_is_bridged():
     points, triangles = ball()
     hole = points[triangles].mean(axis=1)[:, 2] > 0.99
     assert hole.sum() > 4
-    body = mesh_body(points, triangles[~hole])
+    body = MeshBody.around(points, triangles[~hole])
     p = points_between(1.0, 1.2)
     error = np.abs(body.gap(p, 0.0) - (np.linalg.norm(p, axis=1) - 1.0))
     assert error[p[:, 2] < 0.9].max() < 0.01
@@ -131,18 +132,18 @@ def test_a_small_hole_is_bridged():
 )
 def test_bodies_without_a_definite_inside_are_refused(mesh, reason):
     with pytest.raises(InputError, match=reason):
-        mesh_body(*mesh, source="body.obj")
+        MeshBody.around(*mesh, source="body.obj")
 
 
 def test_a_resolution_too_fine_for_memory_is_refused():
     with pytest.raises(InputError, match="nodes"):
-        mesh_body(*ball(2), resolution=1e-3)
+        MeshBody.around(*ball(2), resolution=1e-3)
 
 
 @pytest.mark.slow
 def test_the_mannequin_s_trunk_is_smooth_and_exact(shared):
     mannequin = read_mesh(shared / "meshes" / "mannequin.obj")
-    body = mesh_body(mannequin.points, mannequin.triangles)
+    body = MeshBody.around(mannequin.points, mannequin.triangles)
     assert body.error() < 0.6 * body.spacing
     corner = body.points[body.triangles]
     middle = corner.mean(axis=1)
@@ -163,4 +164,4 @@ def test_a_resolution_too_coarse_for_the_body():
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     with pytest.raises(InputError, match="blurs a body of 1.73 m; allowed: at most 0.17 m"):
-        mesh_body(points, triangles, 0.5)
+        MeshBody.around(points, triangles, 0.5)

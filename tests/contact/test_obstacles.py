@@ -15,7 +15,6 @@ from voile.contact.obstacles import (
     Torus,
     normalised,
 )
-from voile.contact.surfaces import surface
 
 AXIS = normalised(np.array([1.0, 2.0, -0.5]))
 CENTRE = np.array([0.1, -0.2, 0.3])
@@ -83,7 +82,7 @@ def test_the_distance_reaches_the_surface_and_no_point_of_it_is_nearer(name):
     gap, normal, _ = body.derivatives(p)
     assert np.abs(equation(p - gap[:, None] * normal - CENTRE)).max() < 1e-11
     assert ((gap > 0) == (equation(p - CENTRE) > 0)).all()
-    samples = surface(body, np.array([CENTRE - 2.0, CENTRE + 2.0]))[0]
+    samples = body.surface(np.array([CENTRE - 2.0, CENTRE + 2.0]))[0]
     assert np.abs(equation(samples - CENTRE)).max() < 1e-11
     nearest = np.array([norm(q - samples).min() for q in p])
     assert (nearest > np.abs(gap) - 1e-11).all()

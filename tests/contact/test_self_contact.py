@@ -10,9 +10,10 @@ from protocols import UP, held, plate, shell_of
 from test_state import taylor_rates
 
 from voile.cli import main
+from voile.contact.candidates import Layers, near_along
 from voile.contact.closest import closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Plane
-from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import Contact
 from voile.errors import InputError
 from voile.mesh import write_obj
@@ -96,7 +97,7 @@ def pressed_sheets(friction: float) -> tuple[Contact, np.ndarray]:
     x, triangles, edges = two_sheets()
     everything = np.ones(len(x), dtype=bool)
     layers = Layers(x, triangles, edges, np.zeros((0, 2), dtype=int), 2.0 * OFFSET, friction)
-    itself = OnItself(layers, lambda rows: rows, np.arange(len(x)), everything, everything)
+    itself = SelfContact(layers, lambda rows: rows, np.arange(len(x)), everything, everything)
     contact = Contact([], 0.0, 50.0, everything, everything, 1e-12, itself)
     rng = np.random.default_rng(4)
     contact.begin(x + 0.2 * OFFSET * rng.normal(size=x.shape), 0.0)

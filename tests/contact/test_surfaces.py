@@ -4,9 +4,7 @@ import igl
 import numpy as np
 import pytest
 
-from voile.contact.field import mesh_body
-from voile.contact.obstacles import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere, Torus
-from voile.contact.surfaces import surface
+from voile.contact.obstacles import Box, Capsule, Cone, Cylinder, Ellipsoid, MeshBody, Plane, Sphere, Torus
 
 AXIS = np.array([1.0, 2.0, -0.5])
 CENTRE = np.array([0.1, -0.2, 0.3])
@@ -35,7 +33,7 @@ SHAPES = {
 @pytest.mark.parametrize("name", SHAPES)
 def test_surfaces_lie_on_the_obstacle_and_face_outwards(name):
     shape, exact = SHAPES[name]
-    points, triangles = surface(shape, BOUNDS)
+    points, triangles = shape.surface(BOUNDS)
     assert np.abs(shape.gap(points, 0.0)).max() < 1e-12
     assert set(triangles.ravel()) <= set(range(len(points)))
     corner = points[triangles]
@@ -54,13 +52,13 @@ def test_patches_of_unbounded_shapes_reach_past_the_bounds(name):
     inside = np.random.default_rng(1).uniform(*BOUNDS, (200, 3))
     gap, normal, _ = shape.gap_derivatives(inside, 0.0)
     feet = inside - gap[:, None] * normal
-    points, triangles = surface(shape, BOUNDS)
+    points, triangles = shape.surface(BOUNDS)
     squares = igl.point_mesh_squared_distance(feet, points, triangles)[0]
     assert np.sqrt(squares.max()) < 1e-3  # a chord of 96 sides stays within 5.4e-4 radii of its arc
 
 
 def test_a_mesh_shows_its_own_triangles():
-    points, triangles = surface(SHAPES["box"][0], BOUNDS)
-    body = mesh_body(points, triangles, 0.02)
-    shown = surface(body, BOUNDS)
+    points, triangles = SHAPES["box"][0].surface(BOUNDS)
+    body = MeshBody.around(points, triangles, 0.02)
+    shown = body.surface(BOUNDS)
     assert np.array_equal(shown[0], points) and np.array_equal(shown[1], triangles)

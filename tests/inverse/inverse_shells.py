@@ -3,6 +3,8 @@
 import numpy as np
 
 from voile.elastic import model_name
+from voile.inverse.objective import nearness
+from voile.inverse.reduced import Reduced
 from voile.problem.shell import Shell
 
 
@@ -118,3 +120,8 @@ def folded_skirt(around: int = 40, down: int = 6, irregular: float = 0.2, **more
     triangles = np.concatenate([np.stack(corners, -1).reshape(-1, 3) for corners in ((a, d, b), (b, d, c))])
     fixed = np.repeat((np.arange(len(points)) < around)[:, None], 3, axis=1)
     return shell(points, triangles.astype(np.int32), fixed, **more)
+
+
+def nearest_to(target, design, home, start, regularisation=0.0, accuracy=1e-8) -> Reduced:
+    """The adjoint method's objective: the distance from the target, and the rest shape's change from home."""
+    return Reduced(target, design, nearness(target, design, home, regularisation), start, accuracy)

@@ -5,12 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inverse_shells import hanging_sheet, strip
+from inverse_shells import hanging_sheet, nearest_to, strip
 from mpi4py import MPI
 from test_direct import heavy_strip, on_incline, solve
 
-from voile.inverse.adjoint import Forward, Objective, _scaled
+from voile.inverse.adjoint import minimise
 from voile.inverse.direct import Direct
+from voile.inverse.forward import Forward
+from voile.inverse.objective import Change, Objective, scaled
+from voile.inverse.reduced import Reduced
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
 
@@ -40,7 +43,7 @@ def test_the_gradient_is_that_of_the_objective(kind):
     home = Direct(target).follow().rest
     size = 1e-5 if kind == "contact" else 1e-4  # reactions stay inside their cones
     with target.obstructed():
-        objective = Objective(
+        objective = nearest_to(
             target, target.rest, target.problem.create_vector(), target.rest.state(home), 0.1, 1e-10
         )
         z = home.copy()
@@ -65,7 +68,7 @@ def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
     target = sample("average")
     target.load(1.0)
     zero = target.problem.create_vector()
-    objective = Objective(target, target.rest, zero, zero, regularisation=0.01, accuracy=1e-10)
+    objective = nearest_to(target, target.rest, zero, zero, regularisation=0.01, accuracy=1e-10)
     objective.simulate(zero)
     v, w = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
     hv, hw = v.duplicate(), w.duplicate()
@@ -80,7 +83,8 @@ def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
     ahead.axpy(1e-3, v)
     objective.simulate(ahead)
     moved.axpby(1e3, -1e3, objective.state)  # dx/dz v
-    expected = moved.dot(_scaled(objective.weight, moved)) + 0.01 * v.dot(_scaled(objective.metric, v))
+    distance, change = objective.objectives
+    expected = moved.dot(scaled(distance.weight, moved)) + 0.01 * v.dot(scaled(change.metric, v))
     assert v.dot(hv) == pytest.approx(expected, rel=1e-2)
 
 
@@ -104,7 +108,7 @@ def test_the_first_equilibrium_is_sought_by_all_means(kind, monkeypatch):
         for solve_short in (Forward.solve, lambda *_: False):
             monkeypatch.setattr(Forward, "solve", solve_short)
             target.rest.set(home)  # masses weigh the distance
-            objective = Objective(target, target.rest, home, target.rest.state(home), 0.1, 1e-10)
+            objective = nearest_to(target, target.rest, home, target.rest.state(home), 0.1, 1e-10)
             found.append(objective.evaluate(z, z.duplicate()))
     assert found[1] == pytest.approx(found[0], rel=1e-8) and found[0] > 0.0
 
@@ -112,8 +116,6 @@ def test_the_first_equilibrium_is_sought_by_all_means(kind, monkeypatch):
 @pytest.mark.parametrize("kind", ["bnls", "bqnls", "blmvm", "bntr", "nls"])
 def test_taos_types_can_be_chosen(kind):
     from petsc4py import PETSc
-
-    from voile.inverse.adjoint import minimise
 
     shape = strip(8, 0.3, 0.05, young=5e8)
     problem = Problem(shape, MPI.COMM_SELF)
@@ -141,3 +143,44 @@ def test_ranks_have_the_same_gradient_and_hessian(kind, mpirun):
         assert figures[-1].pop() == pytest.approx(2.0, abs=0.2)  # order of the Taylor remainder
     np.testing.assert_allclose(figures[1], figures[0], rtol=1e-7)
     assert all(figures[0])
+
+
+class Lift(Objective):
+    """A new objective: the mean displacement of the lowest vertices is to be `height` (m) upwards."""
+
+    def __init__(self, target, height):
+        self.height, self.down = height, target.problem.create_vector()
+        lowest = target.x[:, 1] < target.x[:, 1].min() + 1e-9
+        self.down.axpy(1.0 / lowest.sum(), target.field_vector(lowest[:, None] * np.array([0.0, 1.0, 0.0])))
+
+    def missed(self, y):
+        return self.down.dot(y) - self.height
+
+    def value(self, y, z):
+        return 0.5 * self.missed(y) ** 2
+
+    def by_state(self, y, z):
+        return self.missed(y) * self.down
+
+    def along_state(self, dy):
+        return self.down.dot(dy) * self.down
+
+
+def test_a_new_objective_is_one_class():
+    target = sample("average")
+    target.load(1.0)
+    zero = target.problem.create_vector()
+    height = -0.02 * target.problem.size()
+    lift = Lift(target, height)
+    steady = Change(target, target.rest, zero, 1e-6)
+    with target.obstructed():
+        reduced = Reduced(target, target.rest, [lift, steady], zero, 1e-10)
+        z, direction = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
+        gradient, ends = z.duplicate(), []
+        reduced.evaluate(z, gradient)
+        for h in (1e-2, -1e-2):
+            ends.append(reduced.evaluate(z + h * direction, z.duplicate()))
+        assert (ends[0] - ends[1]) / 2e-2 == pytest.approx(gradient.dot(direction), rel=1e-6)
+    path = minimise(target, zero, 0.0, 20, objectives=[lift, steady])
+    assert abs(lift.missed(path.state)) < 1e-3 * abs(height)
+    assert lift.missed(zero) == -height

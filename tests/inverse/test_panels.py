@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inverse_shells import held_edges, shell
+from inverse_shells import held_edges, nearest_to, shell
 from mpi4py import MPI
 
-from voile.inverse.adjoint import Objective
 from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
 from voile.inverse.solve import InverseOptions, solve_panels
@@ -57,7 +56,7 @@ def test_gradient_by_panel_coordinates(bending):
     z, direction = panels.create(), panels.create()
     index = np.arange(z.getSize())
     z.array[:], direction.array[:] = 1e-4 * np.sin(index), 1e-4 * np.cos(1.7 * index)
-    objective = Objective(target, panels, panels.create(), target.problem.create_vector(), 0.1, 1e-10)
+    objective = nearest_to(target, panels, panels.create(), target.problem.create_vector(), 0.1, 1e-10)
     gradient = z.duplicate()
     value = objective.evaluate(z, gradient)
     slope, left = gradient.dot(direction), []

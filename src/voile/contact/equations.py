@@ -1,23 +1,18 @@
 """The semismooth Newton equations of Signorini's and Coulomb's laws for the reactions of all contacts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import Pairs, outer, times, within
-
-if TYPE_CHECKING:
-    from voile.contact.state import Contact
 
 
 class Equations:
     """Reactions f = a - D dx of the pairs with one partner for a step dx of their vertices, with constraints (gap and,
     for those that stick, slip) kept by a firm stiffness and corrected by `advance`."""
 
-    def __init__(self, contact: Contact, p: Pairs):
+    def __init__(self, contact: NaturalMap, p: Pairs):
         self.p, self.mu = p, p.friction
         s, rho = contact.state, contact.rho(p.index)
         self.firm = contact.firm
@@ -101,7 +96,7 @@ class Equations:
 class Linearised:
     """Equations of all pairs that may carry a reaction."""
 
-    contact: Contact
+    contact: NaturalMap
     parts: list[Equations]
 
     @property

@@ -6,13 +6,14 @@ the nodes of a grid. Bodies need not be watertight and their pieces may overlap:
 number (Jacobson et al. 2013) exceeds one half, and triangles inside the union carry no surface.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from voile.contact.obstacles import TINY, Obstacle, outer, unit
+from voile.contact.directions import TINY, unit
+from voile.contact.pairs import outer
 from voile.errors import InputError
 
 BAND = 6  # grid spacings on either side of the surface with exact distances
@@ -23,8 +24,8 @@ LARGEST = 3e7  # nodes of a grid
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeshBody(Obstacle):
-    """A body bounded by triangles, points and triangles as given.
+class DistanceField:
+    """The signed distance to a body bounded by triangles, points and triangles as given.
 
     coefficients (nx, ny, nz) of the spline (m) on a grid of `spacing` (m) from `origin` (3,), continued beyond the grid
     by the distance to it; measured: largest error (m).
@@ -37,11 +38,13 @@ class MeshBody(Obstacle):
     coefficients: np.ndarray
     measured: float
 
-    def distance(self, p):
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """(n,) m at points (n, 3)."""
         place, beyond = self._clamp(p)
         return self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
 
-    def derivatives(self, p):
+    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
         place, beyond = self._clamp(p)
         gap, gradient, hessian = self._spline(place, 2)
         far, out = unit(beyond, np.zeros(3))
@@ -82,10 +85,8 @@ class MeshBody(Obstacle):
         hessian = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
         return value, gradient / self.spacing, hessian / self.spacing**2
 
-    def size(self) -> float:
-        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
-
     def error(self) -> float:
+        """Largest known error of the gap near the surface (m)."""
         return self.measured
 
 
@@ -97,11 +98,11 @@ def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(np.stack(rows, axis=2) for rows in (value, slope, [s, 3 * t - 2, 3 * s - 2, t]))
 
 
-def mesh_body(
-    points: np.ndarray, triangles: np.ndarray, resolution: float | None = None, source: str = "mesh", **keys
-) -> MeshBody:
-    """The body of a triangle mesh: points (n, 3) m, triangles (m, 3); resolution (m): the grid's spacing, by default
-    half the mean edge within bounds of the body's size; keys: name, friction, motion.
+def distance_field(
+    points: np.ndarray, triangles: np.ndarray, resolution: float | None = None, source: str = "mesh"
+) -> DistanceField:
+    """That of points (n, 3) m and triangles (m, 3); resolution (m): the grid's spacing, by default half the mean edge
+    within bounds of the body's size.
 
     Raises InputError for a mesh without inside, one turned inside out, or a resolution too fine for memory.
     """
@@ -127,17 +128,15 @@ def mesh_body(
         )
     samples = _samples(points, triangles, skin, origin, spacing, shape)
     coefficients = spline_filter(samples, order=3, mode="mirror")
-    body = MeshBody(
+    body = DistanceField(
         points=points,
         triangles=triangles,
         origin=origin,
         spacing=spacing,
         coefficients=coefficients,
         measured=0.0,
-        **keys,
     )
-    object.__setattr__(body, "measured", _measure(body, skin))
-    return body
+    return replace(body, measured=_measure(body, skin))
 
 
 def signed_distance(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -202,7 +201,7 @@ def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
     return samples
 
 
-def _measure(body: MeshBody, skin: np.ndarray) -> float:
+def _measure(body: DistanceField, skin: np.ndarray) -> float:
     """Largest error of the gap outside (m): at the middles of the surface's triangles and edges and its vertices, on
     the surface and one and two spacings off."""
     corner = body.points[skin]
@@ -213,5 +212,5 @@ def _measure(body: MeshBody, skin: np.ndarray) -> float:
     raised = [sites + k * body.spacing * normal[:, None] for k in range(3)]
     probes = np.concatenate([np.concatenate(raised).reshape(-1, 3), body.points[np.unique(skin)]])
     exact = signed_distance(body.points, body.triangles, skin, probes)
-    outside = exact > -1e-9 * body.size()
+    outside = exact > -1e-9 * np.linalg.norm(np.ptp(body.points, axis=0))
     return float(np.abs(body.distance(probes[outside]) - exact[outside]).max())

@@ -1,17 +1,12 @@
 """Contacts that stay closed and stick, whatever they carry: what a disturbed shell first settles around."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import dot
-
-if TYPE_CHECKING:
-    from voile.contact.state import Contact
 
 STIFF = 100.0  # of a kept contact, over the shell's own at a vertex
 
@@ -36,7 +31,7 @@ class Springs:
 class Kept:
     """Linear springs in place of all contacts that bear: closed and without slip they carry the present reactions."""
 
-    def __init__(self, contact: Contact, x: np.ndarray, factor: float):
+    def __init__(self, contact: NaturalMap, x: np.ndarray, factor: float):
         """What bears at positions x (n, 3)."""
         self.contact, self.stiffness = contact, STIFF * contact.stiffness
         self.springs: list[Springs] = []

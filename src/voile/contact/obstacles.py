@@ -1,176 +1,72 @@
-"""Obstacles: signed distance to a rigid body, with its gradient and Hessian, under a prescribed rigid motion.
+"""The shapes of obstacles: each one class, with the keys of its scene table, signed distance and drawing surface.
 
-A shape is one class with `derivatives` in its own frame; `gap` (without derivatives) may be cheaper. Distances are
-exact; where the closest point is not unique (a sphere's centre, a cylinder's axis) some definite one is taken.
+Distances are exact but for meshes; where the closest point is not unique (a sphere's centre, a cylinder's axis) some
+definite one is taken.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
+from math import pi
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-NOWHERE = 1e-12  # of a vector's length: parts of it shorter than this are round-off and have no direction
-TINY = 1e-12  # m: least radius of curvature, keeps Hessians finite at centres and axes
+from voile.contact.directions import NOWHERE, TINY, normalised, perpendicular, radial, unit
+from voile.contact.field import DistanceField, distance_field
+from voile.contact.motion import Motion
+from voile.contact.obstacle import SHAPES, Obstacle
+from voile.contact.pairs import dot, outer
+from voile.contact.surfaces import AROUND, revolve, stretch, unit_sphere
+from voile.keys import File, Number, Rejected, Vector3, key, vector
+from voile.mesh import read_body
 
+LONGEST = 1e6  # half axis of an ellipsoid over the shortest: their squares keep four digits beside each other
 
-def _zeros() -> np.ndarray:
-    return np.zeros(3)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """Rigid motion reached at load factor 1, in proportion before: displacement (3,) m and a rotation vector (3,) rad
-    about `center` (3,) m."""
-
-    displacement: np.ndarray = field(default_factory=_zeros)
-    rotation: np.ndarray = field(default_factory=_zeros)
-    center: np.ndarray = field(default_factory=_zeros)
-
-    @property
-    def moves(self) -> bool:
-        return bool(np.any(self.displacement) or np.any(self.rotation))
-
-    def turn(self, factor: float) -> np.ndarray:
-        """(3, 3) rotation at a load factor."""
-        return Rotation.from_rotvec(factor * np.asarray(self.rotation, dtype=float)).as_matrix()
-
-    def place(self, points: np.ndarray, factor: float) -> np.ndarray:
-        """Where the body's points (n, 3) are at a load factor."""
-        return (
-            (points - self.center) @ self.turn(factor).T
-            + self.center
-            + factor * np.asarray(self.displacement)
-        )
-
-    def matrix(self, factor: float) -> np.ndarray:
-        """(4, 4) `place` of (x, y, z, 1)."""
-        total = np.eye(4)
-        total[:3, :3] = self.turn(factor)
-        total[:3, 3] = self.place(np.zeros((1, 3)), factor)[0]
-        return total
-
-    def unplace(self, points: np.ndarray, factor: float) -> np.ndarray:
-        """The inverse of `place`."""
-        return (points - self.center - factor * np.asarray(self.displacement)) @ self.turn(
-            factor
-        ) + self.center
+__all__ = ["SHAPES", "Motion", "Obstacle"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Obstacle:
-    """A rigid body with Coulomb's coefficient of friction; lengths in m."""
-
-    name: str = "obstacle"
-    friction: float = 0.0
-    motion: Motion = field(default_factory=Motion)
-
-    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Signed distance (n,), its gradient (n, 3) and Hessian (n, 3, 3) at points (n, 3) of the body's frame."""
-        raise NotImplementedError
-
-    def distance(self, p: np.ndarray) -> np.ndarray:
-        """(n,) signed distance at points of the body's frame, positive outside."""
-        return self.derivatives(p)[0]
-
-    def gap(self, points: np.ndarray, factor: float) -> np.ndarray:
-        """(n,) signed distance of points (n, 3) to the body as placed at a load factor."""
-        return self.distance(self.motion.unplace(points, factor) if self.motion.moves else points)
-
-    def gap_derivatives(self, points: np.ndarray, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """gap (n,), its gradient (n, 3) and its Hessian (n, 3, 3)."""
-        if not self.motion.moves:
-            return self.derivatives(points)
-        gap, normal, curvature = self.derivatives(self.motion.unplace(points, factor))
-        turn = self.motion.turn(factor)
-        return gap, normal @ turn.T, turn @ curvature @ turn.T
-
-    def carry(self, points: np.ndarray, start: float, end: float) -> np.ndarray:
-        """(n, 3) where points fixed to the body go as the load factor goes from start to end."""
-        if not self.motion.moves:
-            return points
-        return self.motion.place(self.motion.unplace(points, start), end)
-
-    def size(self) -> float:
-        """A length of the body (m), inf for unbounded ones."""
-        return np.inf
-
-    def error(self) -> float:
-        """Largest known error of the gap near the surface (m)."""
-        return 0.0
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,) scalar products of rows."""
-    return np.einsum("ni,ni->n", a, b)
-
-
-def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) products a b^T of rows."""
-    return a[:, :, None] * b[:, None, :]
-
-
-def unit(
-    vectors: np.ndarray, otherwise: np.ndarray, least: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (n,) and directions (n, 3) of vectors; `otherwise` (3,) or (n, 3) for those not longer than `least`."""
-    length = np.linalg.norm(vectors, axis=1)
-    some = length > least
-    return length, np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
-
-
-def normalised(vector: np.ndarray) -> np.ndarray:
-    """A vector (3,) of length 1."""
-    return np.asarray(vector, dtype=float) / np.linalg.norm(vector)
-
-
-def perpendicular(axis: np.ndarray) -> np.ndarray:
-    """A unit vector normal to a unit axis."""
-    other = np.eye(3)[np.argmin(np.abs(axis))]
-    return normalised(other - (other @ axis) * axis)
-
-
-def radial(d: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height z (n,), radius r (n,) and unit radial direction (n, 3) of d (n, 3) in cylindrical coordinates about a unit
-    axis; on the axis some definite direction, normal to it as all others."""
-    z = d @ axis
-    across = d - z[:, None] * axis
-    across -= (across @ axis)[:, None] * axis  # once more: near the axis the first difference is round-off
-    r, e = unit(across, perpendicular(axis), NOWHERE * np.linalg.norm(d, axis=1))
-    return z, r, e
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plane(Obstacle):
+class Plane(Obstacle, shape="plane"):
     """Half space below a point, `normal` pointing out of it."""
 
-    point: np.ndarray
-    normal: np.ndarray
+    point: np.ndarray = key(vector("m"), "a point of it")
+    normal: np.ndarray = key(vector(nonzero=True), "outward direction, any length")
 
     def derivatives(self, p):
         n = normalised(self.normal)
         return (p - self.point) @ n, np.tile(n, (len(p), 1)), np.zeros((len(p), 3, 3))
 
+    def surface(self, bounds):
+        """A rectangle below the bounds."""
+        n = normalised(self.normal)
+        first = perpendicular(n)
+        second = np.cross(n, first)
+        (a, b), (c, d) = (stretch(self.point, along, bounds) for along in (first, second))
+        ends = np.array([[a, c], [b, c], [b, d], [a, d]])
+        return self.point + ends @ np.stack([first, second]), np.array([[0, 1, 2], [0, 2, 3]])
+
 
 @dataclass(frozen=True, kw_only=True)
-class Sphere(Obstacle):
-    center: np.ndarray
-    radius: float
+class Sphere(Obstacle, shape="sphere"):
+    center: np.ndarray = key(vector("m"), "centre")
+    radius: float = key(Number("m", above=0), "radius")
 
     def derivatives(self, p):
         r, n = unit(p - self.center, np.array([0.0, 0.0, 1.0]))
         return r - self.radius, n, (np.eye(3) - outer(n, n)) / np.maximum(r, TINY)[:, None, None]
 
-    def size(self) -> float:
-        return self.radius
+    def surface(self, bounds):
+        points, triangles = unit_sphere()
+        return self.center + self.radius * points, triangles
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(Obstacle):
+class Cylinder(Obstacle, shape="cylinder"):
     """Unbounded along its axis."""
 
-    center: np.ndarray
-    axis: np.ndarray
-    radius: float
+    center: np.ndarray = key(vector("m"), "centre")
+    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    radius: float = key(Number("m", above=0), "radius")
 
     def derivatives(self, p):
         a = normalised(self.axis)
@@ -178,17 +74,23 @@ class Cylinder(Obstacle):
         across = np.eye(3) - np.outer(a, a) - outer(n, n)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
-    def size(self) -> float:
-        return self.radius
+    def surface(self, bounds):
+        low, high = stretch(self.center, normalised(self.axis), bounds)
+        return revolve(self.center, self.axis, np.full(2, self.radius), np.array([low, high]))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Capsule(Obstacle):
+class Capsule(Obstacle, shape="capsule"):
     """All points within `radius` of the segment from a to b."""
 
-    a: np.ndarray
-    b: np.ndarray
-    radius: float
+    a: np.ndarray = key(vector("m"), "one end of its centre line")
+    b: np.ndarray = key(vector("m"), "other end of its centre line")
+    radius: float = key(Number("m", above=0), "radius")
+
+    @classmethod
+    def check(cls, table):
+        if table.a == table.b:
+            raise Rejected("equals a; allowed: another point (equal ends make a sphere)", ("b",))
 
     def derivatives(self, p):
         along = np.asarray(self.b, dtype=float) - self.a
@@ -201,17 +103,20 @@ class Capsule(Obstacle):
         across = np.eye(3) - outer(n, n) - inner * np.outer(axis, axis)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
-    def size(self) -> float:
-        return float(np.linalg.norm(np.subtract(self.b, self.a))) + 2.0 * self.radius
+    def surface(self, bounds):
+        axis = np.subtract(self.b, self.a)
+        t = np.linspace(-np.pi / 2, np.pi / 2, AROUND // 2)
+        length = np.linalg.norm(axis) * (t > 0.0)
+        return revolve(self.a, axis, self.radius * np.cos(t), self.radius * np.sin(t) + length)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cone(Obstacle):
-    """Solid, unbounded from its apex along its axis; half_angle (rad) between axis and surface."""
+class Cone(Obstacle, shape="cone"):
+    """Solid, unbounded from its apex along its axis."""
 
-    apex: np.ndarray
-    axis: np.ndarray
-    half_angle: float
+    apex: np.ndarray = key(vector("m"), "apex")
+    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    half_angle: float = key(Number("rad", above=0, below=pi / 2), "angle between axis and surface")
 
     def derivatives(self, p):
         a, sine, cosine = normalised(self.axis), np.sin(self.half_angle), np.cos(self.half_angle)
@@ -228,15 +133,26 @@ class Cone(Obstacle):
             np.where(beyond[:, None, None], tip, flank),
         )
 
+    def surface(self, bounds):
+        """From the apex to the far end of the bounds."""
+        high = stretch(self.apex, normalised(self.axis), bounds)[1]
+        z = np.array([0.0, max(high, np.linalg.norm(np.ptp(bounds, axis=0)))])
+        return revolve(self.apex, self.axis, z * np.tan(self.half_angle), z)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Torus(Obstacle):
+class Torus(Obstacle, shape="torus"):
     """All points within `tube` of a circle of `radius` about the axis."""
 
-    center: np.ndarray
-    axis: np.ndarray
-    radius: float
-    tube: float
+    center: np.ndarray = key(vector("m"), "centre")
+    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    radius: float = key(Number("m", above=0), "of its centre line")
+    tube: float = key(Number("m", above=0), "radius of the tube, below radius")
+
+    @classmethod
+    def check(cls, table):
+        if table.tube >= table.radius:
+            raise Rejected(f"{table.tube:g}; allowed: below radius = {table.radius:g}", ("tube",))
 
     def derivatives(self, p):
         a = normalised(self.axis)
@@ -247,16 +163,23 @@ class Torus(Obstacle):
         turning = (dot(n, e) / np.maximum(r, TINY))[:, None, None] * outer(around, around)
         return far - self.tube, n, across + turning
 
-    def size(self) -> float:
-        return self.radius + self.tube
+    def surface(self, bounds):
+        t = np.linspace(-np.pi, np.pi, AROUND // 2)
+        return revolve(self.center, self.axis, self.radius + self.tube * np.cos(t), self.tube * np.sin(t))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipsoid(Obstacle):
-    """Half axes `radii` along x, y, z."""
+class Ellipsoid(Obstacle, shape="ellipsoid"):
+    center: np.ndarray = key(vector("m"), "centre")
+    radii: np.ndarray = key(vector("m", above=0), "half axes along x, y, z")
 
-    center: np.ndarray
-    radii: np.ndarray
+    @classmethod
+    def check(cls, table):
+        if max(table.radii) > LONGEST * min(table.radii):
+            raise Rejected(
+                f"{list(table.radii)}; allowed: the longest at most {LONGEST:g} times the shortest",
+                ("radii",),
+            )
 
     def derivatives(self, p):
         squares = np.asarray(self.radii, dtype=float) ** 2
@@ -268,8 +191,9 @@ class Ellipsoid(Obstacle):
         shape = across @ np.diag(1.0 / squares) @ across / steepness[:, None, None]
         return gap, n, np.linalg.solve(np.eye(3) + gap[:, None, None] * shape + 1e-14 * np.eye(3), shape)
 
-    def size(self) -> float:
-        return float(np.max(self.radii))
+    def surface(self, bounds):
+        points, triangles = unit_sphere()
+        return self.center + self.radii * points, triangles
 
 
 def _ellipsoid_foot(p: np.ndarray, radii: np.ndarray) -> np.ndarray:
@@ -291,11 +215,11 @@ def _ellipsoid_foot(p: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box(Obstacle):
-    """Edges along x, y, z with half lengths `sizes`; outside, surfaces at a distance are rounded at the edges."""
+class Box(Obstacle, shape="box"):
+    """Edges along x, y, z; outside, surfaces at a distance are rounded at the edges."""
 
-    center: np.ndarray
-    sizes: np.ndarray
+    center: np.ndarray = key(vector("m"), "centre")
+    sizes: np.ndarray = key(vector("m", above=0), "half edges along x, y, z")
 
     def derivatives(self, p):
         d = p - self.center
@@ -313,5 +237,63 @@ class Box(Obstacle):
         curvature = np.where(inside[:, None, None], 0.0, rounded / np.maximum(far, TINY)[:, None, None])
         return np.where(inside, beyond.max(axis=1), far), n, curvature
 
-    def size(self) -> float:
-        return 2.0 * float(np.max(self.sizes))
+    def surface(self, bounds):
+        """Corners of their own on every face, so that shading shows the edges."""
+        points = []
+        for axis in range(3):
+            for side in (-1.0, 1.0):
+                ends = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])[:: int(side)]
+                points.append(np.roll(np.column_stack([np.full(4, side), ends]), axis, axis=1))
+        corners = np.arange(24).reshape(6, 4)
+        triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+        return self.center + self.sizes * np.concatenate(points), triangles
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshKeys:
+    """The scene table of a mesh."""
+
+    file: Path = key(File(), "triangle mesh of the body, normals outwards")
+    scale: float = key(Number("m", above=0), "metres per unit of the file", default=1.0)
+    translate: Vector3 = key(vector("m"), "shift after scaling", default=(0.0, 0.0, 0.0))
+    resolution: float | None = key(
+        Number("m", above=0),
+        "spacing of the grid of the smooth distance field; default: half the mesh's mean edge",
+        default=None,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshBody(DistanceField, Obstacle, shape="mesh"):
+    """A body bounded by triangles."""
+
+    @classmethod
+    def scene_keys(cls):
+        return {f.name: f for f in fields(MeshKeys)}
+
+    @classmethod
+    def build(cls, values, **common):
+        points, triangles = read_body(values["file"], values["scale"])
+        shifted = points + values["translate"]
+        return cls.around(shifted, triangles, values["resolution"], str(values["file"]), **common)
+
+    @classmethod
+    def around(
+        cls,
+        points: np.ndarray,
+        triangles: np.ndarray,
+        resolution: float | None = None,
+        source: str = "mesh",
+        **common: Any,
+    ) -> Self:
+        """The body of points (n, 3) m and triangles (m, 3) from `source`; see `distance_field`."""
+        return cls(**vars(distance_field(points, triangles, resolution, source)), **common)
+
+    def surface(self, bounds):
+        return self.points, self.triangles
+
+    def about(self) -> str:
+        return (
+            f"{len(self.triangles)} triangles as a smooth distance field: spacing {self.spacing:.3g} m, "
+            f"largest error {self.measured:.2g} m"
+        )

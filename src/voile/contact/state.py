@@ -1,9 +1,6 @@
-"""Contact of a shell with obstacles and with itself: reactions, history, and what they add to residual and tangent.
+"""Contact of a shell with obstacles and with itself: what its reactions add to residual and tangent.
 
-Each contact (a vertex with an obstacle, up to four vertices with each other) carries a reaction r = r_N n + r_T, kept
-as explicit state with the positions at the start of the step, from which slip is measured. Everything follows from the
-trial reaction of the natural map (Alart & Curnier 1991), lambda = r - rho (gap n + slip): the pair is open where
-lambda_N <= 0, sticks where |lambda_T| <= mu lambda_N, and slips otherwise. Two forms of it serve the solver:
+Two forms of the natural map serve the solver:
 
 - `force`, `energy`, `blocks`: the projection of lambda on the cone, with frozen r and (but in the normal direction)
   frozen bounds mu r_N the gradient of a potential, to descend on (augmented Lagrangian, Simo & Laursen 1992);
@@ -11,148 +8,28 @@ lambda_N <= 0, sticks where |lambda_T| <= mu lambda_N, and slips otherwise. Two 
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from voile.contact.equations import Equations, Linearised
+from voile.contact.history import State
 from voile.contact.kept import Kept
-from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, barrier, outer, within
-from voile.contact.partners import OnObstacle
-from voile.contact.self_contact import Candidates, OnItself
+from voile.contact.natural_map import NaturalMap
+from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, outer
 
 __all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "State"]
-PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
-LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
-OFF_BOUND = 1e-7  # share of friction
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
 CLEAR = 0.02  # sizes: a gap from which it does not end there
-BARRIER = 3.0  # stiffness of the barrier between layers, over rho
 
 
 @dataclass
-class State:
-    """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
-    contacts: reactions normal (c,) and friction (c, 3) in N, the frozen friction bounds (c,) N, planes (c, 3; unit
-    normals) and grips (c, s; weights of the contact's vertices) of the potential. Positions at the step's start,
-    reference (n, 3) m and, of all vertices, layers; its load factor. candidates: the shell's contacts with itself."""
+class Contact(NaturalMap):
+    """The natural map as a potential and as equations."""
 
-    normal: list[np.ndarray]
-    friction: list[np.ndarray]
-    bound: list[np.ndarray]
-    plane: list[np.ndarray]
-    grip: list[np.ndarray]
-    reference: np.ndarray
-    factor: float
-    candidates: Candidates
-    layers: np.ndarray
-
-    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "State":
-        """The state with all that there is per partner changed alike."""
-        changed: dict[str, Any] = {name: [change(a) for a in getattr(self, name)] for name in PER_PARTNER}
-        return replace(self, **changed)
-
-    def copy(self) -> "State":
-        return self.each(np.copy)
-
-
-def _blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> State:
-    """No reactions for partners of sizes (contacts, vertices of each)."""
-    scalars, vectors, weights = (
-        [np.zeros(shape(c, s)) for c, s in sizes]
-        for shape in (lambda c, s: c, lambda c, s: (c, 3), lambda c, s: (c, s))
-    )
-    none = Candidates(
-        np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)), np.zeros(0)
-    )
-    blank = State(scalars, vectors, scalars, vectors, weights, reference, 0.0, none, np.zeros((0, 3)))
-    return blank.copy()
-
-
-@dataclass
-class Contact:
-    """Contact of n vertices with obstacles, and of all with each other if there is `itself`.
-
-    offset (m): from the mid-surface to the surface that touches, one or (k obstacles, n vertices); stiffness (N/m):
-    about the shell's own at a vertex, the natural map's scale; movable (n,): vertices with unknowns; own (n,): those
-    counted here (each vertex on one rank); touch (m): a gap that is none to round-off.
-    """
-
-    obstacles: list[Obstacle]
-    offset: float | np.ndarray
-    stiffness: float
-    movable: np.ndarray
-    own: np.ndarray
-    touch: float
-    itself: OnItself | None = None
-    state: State = field(init=False)
-    softness: float = 1.0  # factor on rho
-    layers: float = LAYERS  # factor on that of the shell against itself
-    most: float = np.inf  # N/m, of rho
-    sharp: float = np.inf  # N/m, rho in norms at most: with more of it the round-off of gaps would count
     kept: Kept | None = None  # whose potential stands in for the laws'
-    seconds: float = 0.0  # spent on gaps and candidates
-
-    def __post_init__(self) -> None:
-        k, n = len(self.obstacles), len(self.movable)
-        self.offset = np.broadcast_to(np.asarray(self.offset, dtype=float), (k, n))
-        self.partners: list[OnObstacle | OnItself] = [
-            OnObstacle(o, d, self.movable, self.own) for o, d in zip(self.obstacles, self.offset, strict=True)
-        ]
-        sizes = [(n, 1)] * k
-        if self.itself:
-            self.partners.append(self.itself)
-            sizes.append((0, 4))
-        self.state = _blank(sizes, np.zeros((n, 3)))
-
-    def rho(self, k: int) -> float:
-        """N/m, scale of the natural map with partner k."""
-        rho = self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
-        return min(rho, self.most)
-
-    @contextmanager
-    def measured(self) -> Iterator[None]:
-        """For norms: layers with the rho of obstacles, and none above `sharp`. The laws are the same with any rho, the
-        round-off of gaps counts for less."""
-        self.layers, self.most = 1.0, self.sharp
-        try:
-            yield
-        finally:
-            self.layers, self.most = LAYERS, np.inf
-
-    @property
-    def firm(self) -> float:
-        """N/m, stiffness of the equations' constraints."""
-        return FIRM * self.stiffness
-
-    @property
-    def moves(self) -> bool:
-        """Whether an obstacle moves along the load path."""
-        return any(o.motion.moves for o in self.obstacles)
-
-    @property
-    def frictions(self) -> list[tuple[str, float]]:
-        """Each partner's name and Coulomb coefficient."""
-        own = [("itself", self.itself.friction)] if self.itself else []
-        return [(o.name, o.friction) for o in self.obstacles] + own
-
-    def begin(self, x: np.ndarray, factor: float) -> None:
-        """Measures slip from positions x (n, 3) at this load factor on. Friction starts off its bound: whether what
-        slipped before now sticks is not left to round-off."""
-        self.state.reference, self.state.factor = x.copy(), factor
-        self.state.friction = [(1.0 - OFF_BOUND) * friction for friction in self.state.friction]
-        if self.itself:
-            self.state.layers = self.itself.widen(x).copy()
-
-    def gap(self, k: int, x: np.ndarray, factor: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
-        """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
-        return self.obstacles[k].gap(x[rows], factor) - np.asarray(self.offset)[k][rows]
 
     def free_share(self, x: np.ndarray, moved: np.ndarray) -> float:
         """Share of the way from x to `moved` (n, 3) on which no layer passes through another, at most 1."""
@@ -180,73 +57,6 @@ class Contact:
                 inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
         self.seconds += time.perf_counter() - start
         return inside & self.movable
-
-    # ---- the natural map ----
-
-    def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False) -> list[Pairs]:
-        """The pairs with each partner that may carry a reaction. frozen: planes of the state instead of x's."""
-        began = time.perf_counter()
-        found = [self._near(k, x, factor, frozen) for k in range(len(self.partners))]
-        self.seconds += time.perf_counter() - began
-        return [p for p in found if p is not None]
-
-    def _near(self, k: int, x: np.ndarray, factor: float, frozen: bool) -> Pairs | None:
-        partner, wide = self.partners[k], self.partners[k].widen(x)
-        if isinstance(partner, OnItself):
-            self.state = partner.renewed(wide, self.state, k)
-        s = self.state
-        gap = partner.gaps(wide, factor, s)
-        rho = self.rho(k)
-        near = s.normal[k] - rho * gap >= -rho * self.touch
-        if frozen:
-            near |= (s.bound[k] > 0.0) & np.isfinite(gap)
-        rows = np.flatnonzero(near & partner.movable(s))
-        if not len(rows):
-            return None
-        g = partner.geometry(rows, wide, factor, s)
-        steepness = np.linalg.norm(g.gradient, axis=1)
-        unit = g.gradient / steepness[:, None]
-        plane, grip = (s.plane[k][rows], s.grip[k][rows]) if frozen else (unit, g.weight)
-        d = partner.moved(rows, grip, wide, factor, s)
-        trial = within(plane, s.friction[k][rows] - rho * d)
-        lam_n = s.normal[k][rows] - rho * g.gap
-        slip = within(plane, d)
-        return Pairs(k, partner.friction, rows, g, unit, steepness, lam_n, trial, slip, grip)
-
-    def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
-        if frozen:
-            return self.state.bound[p.index][p.row]
-        return p.friction * p.steepness * np.maximum(p.lam_n, 0.0)
-
-    def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
-        size = np.linalg.norm(p.lam_t, axis=1)
-        bound = self._bounds(p, frozen)
-        share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
-        return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
-
-    def guard(self, p: Pairs) -> np.ndarray:
-        """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way: none
-        where the laws hold."""
-        if p.index < len(self.obstacles) or self.itself is None:
-            return np.zeros((3, len(p.row)))
-        return BARRIER * self.rho(p.index) * barrier(p.gap, self.state.candidates.apart[p.row])
-
-    def slips(self, p: Pairs) -> np.ndarray:
-        """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
-        beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
-        return (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
-
-    def counted(self, p: Pairs) -> np.ndarray:
-        """(p,) marks the pairs that count on this rank."""
-        return self.partners[p.index].counted(p.row, self.state)
-
-    def collect(self, p: Pairs, spread: Callable[[np.ndarray], None], total: np.ndarray) -> None:
-        """Adds the forces that `spread` adds to those on the partner's vertices to total (n, 3)."""
-        partner = self.partners[p.index]
-        forces = np.zeros((len(partner.free), 3))
-        spread(forces)
-        total += partner.narrow(forces)
 
     # ---- as a potential ----
 
@@ -325,30 +135,3 @@ class Contact:
     def linearise(self, x: np.ndarray, factor: float) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions."""
         return Linearised(self, [Equations(self, p) for p in self.pairs(x, factor)])
-
-    # ---- what is reported ----
-
-    def nearest(self, k: int, x: np.ndarray, factor: float) -> np.ndarray:
-        """(n,) gaps (m) of the vertices to partner k, where it is near."""
-        return self.partners[k].nearest(self.partners[k].widen(x), factor, self.state)
-
-    def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
-        g = p.geometry
-        return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
-
-    def mismatch(self, x: np.ndarray, factor: float) -> float:
-        """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
-        pairs, s, total = self.pairs(x, factor), self.state, 0.0
-        held = [normal != 0.0 for normal in s.normal]
-        for p in pairs:
-            normal, tangential = self.project(p)
-            own = self.counted(p)
-            total += float((((s.normal[p.index][p.row] - normal) ** 2)[own]).sum())
-            total += float(((s.friction[p.index][p.row] - tangential)[own] ** 2).sum())
-            held[p.index][p.row] = False
-        for k, rest in enumerate(held):
-            rows = np.flatnonzero(rest)
-            rows = rows[self.partners[k].counted(rows, s)]
-            total += float((s.normal[k][rows] ** 2).sum() + (s.friction[k][rows] ** 2).sum())
-        return total

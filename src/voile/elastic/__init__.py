@@ -1,6 +1,16 @@
 """Elastic models over the C++ kernels: energies of triangles as functions of six invariants each."""
 
 from voile.elastic.evaluate import Evaluation, evaluate
-from voile.elastic.models import BENDING, MATERIALS, MODELS, model_name
+from voile.elastic.models import BENDING, MATERIALS, MODELS, PLANNED, has_directors, model_name, model_of
 
-__all__ = ["BENDING", "MATERIALS", "MODELS", "Evaluation", "evaluate", "model_name"]
+__all__ = [
+    "BENDING",
+    "MATERIALS",
+    "MODELS",
+    "PLANNED",
+    "Evaluation",
+    "evaluate",
+    "has_directors",
+    "model_name",
+    "model_of",
+]

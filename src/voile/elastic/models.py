@@ -1,9 +1,26 @@
-"""Names of the elastic models; the functions themselves are in src/cpp/models.hpp and its table in elastic.cpp."""
+"""The elastic models: one row each. The functions themselves are in src/cpp/models.hpp, by name in elastic.cpp."""
+
+from dataclasses import dataclass
 
 from voile.errors import InputError
 
-MODELS = ("koiter", "discrete-shells", "membrane")
-BENDING = ("average", "sin", "tan", "theta")
+
+@dataclass(frozen=True)
+class Model:
+    """bends: has bending stiffness; normals: takes one of BENDING; material: takes one of MATERIALS."""
+
+    bends: bool
+    normals: bool
+    material: bool
+
+
+MODELS = {
+    "koiter": Model(bends=True, normals=True, material=True),
+    "discrete-shells": Model(bends=True, normals=False, material=False),
+    "membrane": Model(bends=False, normals=False, material=True),
+}
+PLANNED = ("projective",)  # scenes may name them; this version cannot run them
+BENDING = {"average": False, "sin": True, "tan": True, "theta": True}  # whether edges have director angles
 MATERIALS = ("stvk", "neo-hookean", "tension-field")
 
 
@@ -19,6 +36,15 @@ def model_name(model: str, bending: str, material: str) -> str:
     ):
         if value not in allowed:
             raise InputError(f"{key} = {value!r} is not known; allowed: {', '.join(allowed)}")
-    if model == "discrete-shells":
-        return "discrete-shells//"
-    return f"{model}/{bending if model == 'koiter' else ''}/{material}"
+    row = MODELS[model]
+    return f"{model}/{bending if row.normals else ''}/{material if row.material else ''}"
+
+
+def model_of(name: str) -> Model:
+    """The row of a model by its kernels' name."""
+    return MODELS[name.partition("/")[0]]
+
+
+def has_directors(name: str) -> bool:
+    """Whether the model of a kernels' name has a director angle on each edge."""
+    return BENDING.get(name.split("/")[1], False)

@@ -1,5 +1,6 @@
 """What inverse design found: the rest shape with its proof, what to say of it, and its figures."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,10 +26,10 @@ class InverseResult:
     """A rest shape (`rest`: rest displacements and director angles on the problem's unknowns) and what it is worth.
 
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
-    the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`;
-    simulation and disturbed: statics from the target and from beside it, `held` from the nearest answer, all to
-    `tolerance` of the loads' norm; apart: sizes between the ends of the first two; seconds: of the search (`inverse`)
-    and of certificate and simulations (`proof`).
+    the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`,
+    nan where none is found; simulation and disturbed: statics from the target and from beside it, `held` from the
+    nearest answer, all to `tolerance` of the loads' norm; apart: sizes between the ends of the first two; seconds: of
+    the search (`inverse`) and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -131,6 +132,8 @@ class InverseResult:
         return self.simulation.sag <= NEAR * sag
 
     def _unstable(self) -> str:
+        if math.isnan(self.eigenvalue):
+            return "its smallest eigenvalue is not found"
         return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
 
 
@@ -149,7 +152,7 @@ def inverse_report(result: InverseResult) -> dict:
         "sag_disturbed": result.disturbed.settled_sag,
         "disturbance": result.disturbed.disturbance,
         "stable": result.stable,
-        "smallest_eigenvalue": result.eigenvalue,
+        "smallest_eigenvalue": None if math.isnan(result.eigenvalue) else result.eigenvalue,
         "direct_iterations": direct.iterations,
         "nearest": _nearest(result),
         "adjoint_iterations": len(adjoint.steps) - 1 if adjoint else 0,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
+from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
-from voile.contact.self_contact import Layers
 from voile.errors import NotConverged
 from voile.inverse.adjoint import NEAR, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress

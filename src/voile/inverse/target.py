@@ -9,9 +9,9 @@ import scipy.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import FIRM, FREE, STICK, dot, margin, outer, within
-from voile.contact.self_contact import Layers
 from voile.contact.state import Contact
 from voile.errors import NotConverged
 from voile.inverse.bounds import Bounds
@@ -28,6 +28,7 @@ from voile.solver.stability import smallest_eigenpair
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
 HOLDS = 1.0, 0.1, 0.01  # tried in turn: firmness of rest positions at contacts, over the shell's
 CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and bears nothing
+UNLOADED = 1e-9  # of the loads: those whose rate is that of eigenvalues where there are none
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
 
@@ -332,8 +333,9 @@ class Target:
         return self.smallest(z)[1]
 
     def smallest(self, z: PETSc.Vec) -> tuple[float, PETSc.Vec]:
-        """Smallest omega^2 (1/s^2) of the target and its mode."""
-        return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), slow_rate(self.problem))
+        """Smallest omega^2 (1/s^2) of the target, nan where none is found, and its mode."""
+        scale = max(self.problem.load_factor, UNLOADED) * slow_rate(self.problem)
+        return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), scale)
 
     # ---- for the simulation ----
 

@@ -8,9 +8,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from voile.contact.candidates import Layers, closest
+from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.pairs import Geometry
-from voile.contact.partners import OnObstacle
-from voile.contact.self_contact import Layers, OnItself, closest
 from voile.contact.state import Contact
 
 
@@ -21,7 +21,7 @@ class Touch:
     on this rank."""
 
     index: int
-    partner: OnObstacle | OnItself
+    partner: ObstacleContact | SelfContact
     geometry: Geometry
     code: np.ndarray
     own: np.ndarray
@@ -60,7 +60,7 @@ class Touch:
     def along(self) -> np.ndarray:
         """(local vertices,) distance (m) along edges from the nearest contact between layers."""
         partner, vertex = self.partner, self.geometry.vertex[self.geometry.weight != 0.0]
-        assert isinstance(partner, OnItself)
+        assert isinstance(partner, SelfContact)
         if not len(vertex):
             return np.full(len(partner.here), np.inf)
         x, (i, j) = partner.layers.points, partner.layers.edges.T
@@ -95,7 +95,7 @@ def find_touches(contact: Contact, x: np.ndarray, tolerance: float) -> list[Touc
 
 def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> Touch:
     partner, state = contact.partners[k], contact.state
-    assert isinstance(partner, OnObstacle)
+    assert isinstance(partner, ObstacleContact)
     near = np.flatnonzero((partner.gaps(x, 0.0, state) < tolerance) & partner.free)
     geometry = partner.geometry(near, x, 0.0, state)
     geometry.gap += partner.offset[near]

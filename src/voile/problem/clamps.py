@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.elastic import model_of
 from voile.errors import InputError
 from voile.problem.shell import Shell, area_vectors
 
@@ -22,7 +23,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     """
     topology = shell.topology
     angles = np.zeros(len(topology.edges))
-    if not len(shell.clamped_edges) or shell.model.startswith("membrane"):  # a membrane does not bend
+    if not (len(shell.clamped_edges) and model_of(shell.model).bends):
         return np.zeros((0, 6)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True

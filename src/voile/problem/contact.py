@@ -8,9 +8,10 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.contact.candidates import Layers, near_along
+from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import margin
-from voile.contact.self_contact import Layers, OnItself, near_along
 from voile.contact.state import FREE, SLIP, STICK, Contact
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
@@ -78,7 +79,7 @@ def _joined(sewn: np.ndarray, n: int) -> np.ndarray:
     return np.column_stack(sp.triu(link + link @ link + link @ link @ link, 1).nonzero())
 
 
-def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItself:
+def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> SelfContact:
     """Layers as all ranks see them: each has the positions of all vertices, and the same pairs. Raises InputError where
     layers start in the same place or through each other, or supports hold them too near."""
     part, comm = problem.part, problem.comm
@@ -96,7 +97,7 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> OnItsel
         layers.check_held(x, free)
     mine = np.zeros(len(place), dtype=bool)
     mine[part.vertex[own]] = True
-    return OnItself(layers, widen, part.vertex, free, mine)
+    return SelfContact(layers, widen, part.vertex, free, mine)
 
 
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from voile.errors import InputError
-from voile.scene.kinds import Rejected
+from voile.keys import Rejected, Table
 from voile.scene.schema import Scene, homes
-from voile.scene.table import Table
 
 KeyPath = tuple[str | int, ...]
 
@@ -47,7 +46,7 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     if overrides and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"# --set {override}\n" for override in overrides)
-    return dataclasses.replace(_absolute(scene, path.parent), text=text, path=path)
+    return dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
 
 
 def _shown(part: str | int) -> str:
@@ -67,20 +66,16 @@ def _read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _absolute(scene: Scene, folder: Path) -> Scene:
-    """The scene with its files' paths absolute, from the scene file's folder."""
-    folder = folder.resolve()
-    rest = scene.shell.rest
-    shell = dataclasses.replace(
-        scene.shell, mesh=folder / scene.shell.mesh, rest=folder / rest if isinstance(rest, Path) else rest
-    )
-    obstacle = tuple(
-        body if body.file is None else dataclasses.replace(body, file=folder / body.file)
-        for body in scene.obstacle
-    )
-    seen, also = scene.inverse.observed, tuple(folder / path for path in scene.inverse.also)
-    inverse = dataclasses.replace(scene.inverse, observed=folder / seen if seen else None, also=also)
-    return dataclasses.replace(scene, shell=shell, obstacle=obstacle, inverse=inverse)
+def _absolute(value: Any, folder: Path) -> Any:
+    """A table of the scene, or what it holds, with its files' paths absolute from the scene file's folder."""
+    if isinstance(value, Path):
+        return folder / value
+    if isinstance(value, tuple):
+        return tuple(_absolute(each, folder) for each in value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        keys = [field.name for field in dataclasses.fields(value) if field.metadata]
+        return dataclasses.replace(value, **{k: _absolute(getattr(value, k), folder) for k in keys})
+    return value
 
 
 # ---- lines of keys, which tomllib does not tell ----

@@ -1,14 +1,16 @@
-"""Every key of a scene file: kind, unit, range, default and meaning (of tasks: in tasks.py). SI units throughout.
+"""Every key of a scene file: kind, unit, range, default and meaning. SI units throughout.
+
+Those of tasks are in tasks.py, those of an obstacle's shape in its class in contact/obstacles.py.
 
 A table of the file is a frozen dataclass; a key is a field, declared by `key(kind, meaning, default=...)`.
 """
 
 from dataclasses import dataclass
-from math import pi
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from voile.scene.kinds import (
+from voile.elastic import BENDING, MATERIALS, MODELS, PLANNED
+from voile.keys import (
     Array,
     Axes,
     Boolean,
@@ -19,11 +21,14 @@ from voile.scene.kinds import (
     Number,
     Rejected,
     Selection,
+    Table,
+    Tables,
     Text,
     Vector3,
+    key,
     vector,
 )
-from voile.scene.table import Table, Tables, key
+from voile.scene.obstacles import Body, Obstacle
 from voile.scene.tasks import Dynamics, Inverse, Output, Statics
 
 SELECT = Selection(
@@ -62,13 +67,9 @@ class Shell:
         default=None,
     )
     scale: float = key(Number("m", above=0), "metres per unit of the mesh files", default=1.0)
-    model: str = key(
-        Choice("koiter", "discrete-shells", "membrane", "projective"), "elastic model", default="koiter"
-    )
-    bending: str = key(
-        Choice("average", "sin", "tan", "theta"), "mid-edge normals of the Koiter model", default="tan"
-    )
-    material: str = key(Choice("stvk", "neo-hookean", "tension-field"), "material law", default="stvk")
+    model: str = key(Choice(*MODELS, *PLANNED), "elastic model", default="koiter")
+    bending: str = key(Choice(*BENDING), "mid-edge normals of the Koiter model", default="tan")
+    material: str = key(Choice(*MATERIALS), "material law", default="stvk")
     young: float = key(YOUNG, "Young's modulus")
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
@@ -116,17 +117,6 @@ class Move:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyMove:
-    displacement: Vector3 = key(
-        vector("m"), "displacement reached at the end of the load path", default=(0.0, 0.0, 0.0)
-    )
-    rotation: Vector3 = key(
-        vector("rad"), "rotation vector reached at the end of the load path", default=(0.0, 0.0, 0.0)
-    )
-    center: Vector3 = key(vector("m"), "point about which the body rotates", default=(0.0, 0.0, 0.0))
-
-
-@dataclass(frozen=True, kw_only=True)
 class Fix:
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
@@ -145,75 +135,6 @@ class Fix:
                     "allowed: motion along the held axes",
                     ("move", "displacement"),
                 )
-
-
-_SHAPES = {
-    "plane": ("point", "normal"),
-    "sphere": ("center", "radius"),
-    "cylinder": ("center", "axis", "radius"),
-    "capsule": ("a", "b", "radius"),
-    "cone": ("apex", "axis", "half_angle"),
-    "torus": ("center", "axis", "radius", "tube"),
-    "ellipsoid": ("center", "radii"),
-    "box": ("center", "sizes"),
-    "mesh": ("file",),
-}
-_MESH_ONLY = ("scale", "translate", "resolution")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Obstacle:
-    shape: str = key(Choice(*_SHAPES), "shape; the keys of its geometry are required: see the other keys")
-    friction: float = key(Number(least=0), "Coulomb's coefficient of friction", default=0.0)
-    move: BodyMove | None = key(Table(BodyMove), "prescribed rigid motion", default=None)
-    point: Vector3 | None = key(vector("m"), "plane: a point of it", default=None)
-    normal: Vector3 | None = key(vector(nonzero=True), "plane: outward direction, any length", default=None)
-    center: Vector3 | None = key(vector("m"), "sphere, cylinder, torus, ellipsoid, box: centre", default=None)
-    axis: Vector3 | None = key(
-        vector(nonzero=True), "cylinder, cone, torus: direction of the axis, any length", default=None
-    )
-    radius: float | None = key(
-        Number("m", above=0), "sphere, cylinder, capsule: radius; torus: of its centre line", default=None
-    )
-    a: Vector3 | None = key(vector("m"), "capsule: one end of its centre line", default=None)
-    b: Vector3 | None = key(vector("m"), "capsule: other end of its centre line", default=None)
-    apex: Vector3 | None = key(vector("m"), "cone: apex", default=None)
-    half_angle: float | None = key(
-        Number("rad", above=0, below=pi / 2), "cone: angle between axis and surface", default=None
-    )
-    tube: float | None = key(Number("m", above=0), "torus: radius of the tube, below radius", default=None)
-    radii: Vector3 | None = key(vector("m", above=0), "ellipsoid: half axes along x, y, z", default=None)
-    sizes: Vector3 | None = key(vector("m", above=0), "box: half edges along x, y, z", default=None)
-    file: Path | None = key(File(), "mesh: triangle mesh of the body, normals outwards", default=None)
-    scale: float = key(Number("m", above=0), "mesh: metres per unit of the file", default=1.0)
-    translate: Vector3 = key(vector("m"), "mesh: shift after scaling", default=(0.0, 0.0, 0.0))
-    resolution: float | None = key(
-        Number("m", above=0),
-        "mesh: spacing of the grid of the smooth distance field; default: half the mesh's mean edge",
-        default=None,
-    )
-
-    SCHEMA: ClassVar[dict[str, Any]] = {
-        "allOf": [
-            {"if": {"properties": {"shape": {"const": shape}}}, "then": {"required": list(names)}}
-            for shape, names in _SHAPES.items()
-        ]
-    }
-
-    def check(self, given: set[str]) -> None:
-        needed = _SHAPES[self.shape]
-        geometry = {*_MESH_ONLY, *(name for names in _SHAPES.values() for name in names)}
-        own = {*needed, *(_MESH_ONLY if self.shape == "mesh" else ())}
-        for name in sorted(given & geometry - own):
-            raise Rejected(f'not a key of shape = "{self.shape}"; allowed: {", ".join(sorted(own))}', (name,))
-        for name in needed:
-            if name not in given:
-                needs = f'shape = "{self.shape}" needs {", ".join(needed)}'
-                raise Rejected(f'the key "{name}" is missing; {needs}')
-        if self.shape == "capsule" and self.a == self.b:
-            raise Rejected("equals a; allowed: another point (equal ends make a sphere)", ("b",))
-        if self.tube is not None and self.radius is not None and self.tube >= self.radius:
-            raise Rejected(f"{self.tube:g}; allowed: below radius = {self.radius:g}", ("tube",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,7 +168,7 @@ class Scene:
     fabric: tuple[Fabric, ...] = key(Tables(Fabric), "other fabrics, by group of the mesh", default=())
     loads: Loads = key(Table(Loads), "loads", default=Loads())
     fix: tuple[Fix, ...] = key(Tables(Fix), "supports", default=())
-    obstacle: tuple[Obstacle, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
+    obstacle: tuple[Body, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
     contact: Contact = key(Table(Contact), "contact", default=Contact())
     statics: Statics = key(Table(Statics), "task = statics", default=Statics())
     dynamics: Dynamics = key(Table(Dynamics), "task = dynamics", default=Dynamics())
@@ -316,7 +237,7 @@ def unsupported(scene: Scene) -> list[str]:
     inverse = scene.scene.task == "inverse"
     asked = {
         f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
-        f'shell.model = "{scene.shell.model}"': scene.shell.model == "projective",
+        f'shell.model = "{scene.shell.model}"': scene.shell.model in PLANNED,
         "contact.self_contact = true with inverse.estimate": inverse
         and scene.contact.self_contact
         and bool(scene.inverse.estimate),

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from voile.scene.kinds import Array, Boolean, Choice, File, Integer, Number, Rejected
-from voile.scene.table import key
+from voile.keys import Array, Boolean, Choice, File, Integer, Number, Rejected, key
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """What all tasks share: rows of a state for the result file, values in the input's order, the summary."""
 
+import math
 import platform
 import resource
 import time
@@ -62,6 +63,7 @@ def summarise(
     if model is None:
         return
     last = path.steps[-1] if path.steps else None
+    value = path.smallest_eigenvalue if result is None else result.eigenvalue
     summary = {
         "converged": path.converged if result is None else result.converged,
         "reason": path.reason if result is None else result.reason,
@@ -78,7 +80,7 @@ def summarise(
         "contact": (last.contact if last else None) or NO_CONTACT,
         "method": [step.method for step in path.steps],
         "stable": path.stable if result is None else result.stable and path.stable,
-        "smallest_eigenvalue": path.smallest_eigenvalue if result is None else result.eigenvalue,
+        "smallest_eigenvalue": None if value is None or math.isnan(value) else value,
         "wall_time_s": {**seconds, "total": time.perf_counter() - began},
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
         "ranks": problem.comm.size,

@@ -1,25 +1,17 @@
-"""Contact of a shell with itself: a vertex with a triangle, an edge with an edge, two thicknesses of cloth touching.
+"""Layers of a shell that may touch: a vertex with a triangle, an edge with an edge, two thicknesses of cloth apart.
 
 Which pairs come near is asked of ipctk's broad phase. No step may carry one layer through another (`free_share`,
 continuous collision detection), so the distance needs no sign: each layer stays on the side where it started.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from itertools import compress
-from typing import TYPE_CHECKING
 
 import ipctk
 import numpy as np
 
-from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, derivatives, edge_distance
-from voile.contact.pairs import Geometry
+from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, edge_distance
 from voile.errors import InputError
-
-if TYPE_CHECKING:
-    from voile.contact.state import State
 
 BAND = 1.0  # thicknesses beyond contact within which pairs are kept: they stay valid for half of it of motion
 SAME = 1e-9  # thicknesses: layers nearer than this are in the same place
@@ -198,95 +190,6 @@ class Layers:
         face, edge = code[:split], code[split:] - self._split
         first = np.column_stack([face % n, self.triangles[face // n]])
         return np.concatenate([first, np.column_stack([self.edges[edge // e], self.edges[edge % e]])])
-
-
-@dataclass
-class OnItself:
-    """A shell's contacts with itself. widen: positions (n, 3) of all vertices from this rank's local ones; here (local
-    vertices,): those among all; free (n,): vertices with unknowns; own (n,): a pair counts where its first vertex is
-    its rank's own."""
-
-    layers: Layers
-    widen: Callable[[np.ndarray], np.ndarray]
-    here: np.ndarray
-    free: np.ndarray
-    own: np.ndarray
-    _last: tuple[Candidates, np.ndarray, Closest] | None = field(default=None, repr=False)
-
-    @property
-    def friction(self) -> float:
-        return self.layers.friction
-
-    def narrow(self, forces: np.ndarray) -> np.ndarray:
-        """(local vertices, 3) of the forces on all vertices (n, 3)."""
-        return forces[self.here]
-
-    def renewed(self, x: np.ndarray, state: State, k: int) -> State:
-        """The state, in which this partner's part is k, with the candidates at positions x (n, 3)."""
-        old = state.candidates
-        if self.layers.valid(old, x):
-            return state
-        carry = (state.normal[k] != 0.0) | (state.bound[k] != 0.0)
-        fresh = self.layers.find(x, old.code[carry])
-        there = np.flatnonzero(np.isin(fresh.code, old.code))
-        back = np.searchsorted(old.code, fresh.code[there])
-        renewed = state.copy()
-        renewed.candidates = fresh
-        for part in (renewed.normal, renewed.friction, renewed.bound, renewed.plane, renewed.grip):
-            rows = np.zeros((len(fresh.code), *part[k].shape[1:]))
-            rows[there] = part[k][back]
-            part[k] = rows
-        return renewed
-
-    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
-        """(c,) m; infinite for edges that are not closest inside both."""
-        return self._closest(state.candidates, x).distance - state.candidates.apart
-
-    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
-        """That of some contacts, whose gaps are finite."""
-        vertex = state.candidates.vertex[rows]
-        c = self._closest(state.candidates, x)[rows]
-        normal, curvature = derivatives(c, x[vertex])
-        return Geometry(c.distance - state.candidates.apart[rows], normal, curvature, vertex, c.weight)
-
-    def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
-        """As `closest`, which is asked for again and again at the same positions."""
-        if self._last is None or self._last[0] is not candidates or not np.array_equal(self._last[1], x):
-            self._last = candidates, x.copy(), closest(candidates, x)
-        return self._last[2]
-
-    def moved(
-        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
-    ) -> np.ndarray:
-        """(p, 3) relative motion of some contacts since the start of the step (m)."""
-        vertex = state.candidates.vertex[rows]
-        return np.einsum("ps,psi->pi", grip, x[vertex] - state.layers[vertex])
-
-    def movable(self, state: State) -> np.ndarray:
-        """(c,) marks the contacts that have unknowns."""
-        return self.free[state.candidates.vertex].any(axis=1)
-
-    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
-        """(p,) marks the contacts that count on this rank."""
-        return self.own[state.candidates.vertex[rows, 0]]
-
-    def places(self, code: np.ndarray, state: State) -> np.ndarray:
-        """Rows of the contacts known by codes (p,), which are among the candidates."""
-        return np.searchsorted(state.candidates.code, code)
-
-    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
-        """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
-        gap = self.gaps(x, factor, state)
-        least = np.full(len(self.free), BAND * self.layers.thickness)
-        np.minimum.at(least, state.candidates.vertex, gap[:, None])
-        return least[self.here]
-
-    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(local vertices,) the least of the values (p,) of the contacts that a vertex carries a share of, infinite
-        without any."""
-        least, carries = np.full(len(self.free), np.inf), weight != 0.0
-        np.minimum.at(least, vertex[carries], np.repeat(values, carries.sum(axis=1)))
-        return least[self.here]
 
 
 def closest(candidates: Candidates, x: np.ndarray) -> Closest:

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from voile.scene.kinds import Array, Kind, Number, Rejected, read_key, wrong_type
+from voile.keys.kinds import Array, Kind, Number, Rejected, read_key, wrong_type
 
 
 def key(kind: Kind, meaning: str, **default: Any) -> Any:

@@ -1,0 +1,163 @@
+"""What a shell's contacts are with: rigid obstacles or the shell itself, one interface for the laws.
+
+A partner has contacts in the state, numbered in its own way, over vertices whose positions `widen` gives from
+this rank's; `narrow` takes forces back. Its gaps, their geometry and the relative motion since the start of the step
+are all that Signorini's and Coulomb's laws need.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from voile.contact.candidates import BAND, Candidates, Layers, closest
+from voile.contact.closest import Closest, derivatives
+from voile.contact.history import State
+from voile.contact.obstacle import Obstacle
+from voile.contact.pairs import Geometry
+
+
+@dataclass
+class ObstacleContact:
+    """Every local vertex with one obstacle, at `offset` (n,) m from it."""
+
+    obstacle: Obstacle
+    offset: np.ndarray
+    free: np.ndarray
+    own: np.ndarray
+
+    @property
+    def friction(self) -> float:
+        return self.obstacle.friction
+
+    def widen(self, x: np.ndarray) -> np.ndarray:
+        return x
+
+    def narrow(self, forces: np.ndarray) -> np.ndarray:
+        return forces
+
+    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(n,) m."""
+        return self.obstacle.gap(x, factor) - self.offset
+
+    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
+        """That of some contacts."""
+        gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], factor)
+        return Geometry(gap - self.offset[rows], gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
+
+    def moved(
+        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
+    ) -> np.ndarray:
+        """(p, 3) relative motion of some contacts since the start of the step (m)."""
+        return x[rows] - self.obstacle.carry(state.reference[rows], state.factor, factor)
+
+    def movable(self, state: State) -> np.ndarray:
+        """(n,) marks the contacts that have unknowns."""
+        return self.free
+
+    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
+        """(p,) marks the contacts that count on this rank."""
+        return self.own[rows]
+
+    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+        """Rows of the contacts known by codes (p,): the vertices themselves."""
+        return code
+
+    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(n,) gap (m) of each vertex."""
+        return self.gaps(x, factor, state)
+
+    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""
+        least = np.full(len(self.free), np.inf)
+        np.minimum.at(least, vertex[:, 0], values)
+        return least
+
+
+@dataclass
+class SelfContact:
+    """A shell's contacts with itself. widen: positions (n, 3) of all vertices from this rank's local ones; here (local
+    vertices,): those among all; free (n,): vertices with unknowns; own (n,): a pair counts where its first vertex is
+    its rank's own."""
+
+    layers: Layers
+    widen: Callable[[np.ndarray], np.ndarray]
+    here: np.ndarray
+    free: np.ndarray
+    own: np.ndarray
+    _last: tuple[Candidates, np.ndarray, Closest] | None = field(default=None, repr=False)
+
+    @property
+    def friction(self) -> float:
+        return self.layers.friction
+
+    def narrow(self, forces: np.ndarray) -> np.ndarray:
+        """(local vertices, 3) of the forces on all vertices (n, 3)."""
+        return forces[self.here]
+
+    def renewed(self, x: np.ndarray, state: State, k: int) -> State:
+        """The state, in which this partner's part is k, with the candidates at positions x (n, 3)."""
+        old = state.candidates
+        if self.layers.valid(old, x):
+            return state
+        carry = (state.normal[k] != 0.0) | (state.bound[k] != 0.0)
+        fresh = self.layers.find(x, old.code[carry])
+        there = np.flatnonzero(np.isin(fresh.code, old.code))
+        back = np.searchsorted(old.code, fresh.code[there])
+        renewed = state.copy()
+        renewed.candidates = fresh
+        for part in (renewed.normal, renewed.friction, renewed.bound, renewed.plane, renewed.grip):
+            rows = np.zeros((len(fresh.code), *part[k].shape[1:]))
+            rows[there] = part[k][back]
+            part[k] = rows
+        return renewed
+
+    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(c,) m; infinite for edges that are not closest inside both."""
+        return self._closest(state.candidates, x).distance - state.candidates.apart
+
+    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
+        """That of some contacts, whose gaps are finite."""
+        vertex = state.candidates.vertex[rows]
+        c = self._closest(state.candidates, x)[rows]
+        normal, curvature = derivatives(c, x[vertex])
+        return Geometry(c.distance - state.candidates.apart[rows], normal, curvature, vertex, c.weight)
+
+    def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
+        """As `closest`, which is asked for again and again at the same positions."""
+        if self._last is None or self._last[0] is not candidates or not np.array_equal(self._last[1], x):
+            self._last = candidates, x.copy(), closest(candidates, x)
+        return self._last[2]
+
+    def moved(
+        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
+    ) -> np.ndarray:
+        """(p, 3) relative motion of some contacts since the start of the step (m)."""
+        vertex = state.candidates.vertex[rows]
+        return np.einsum("ps,psi->pi", grip, x[vertex] - state.layers[vertex])
+
+    def movable(self, state: State) -> np.ndarray:
+        """(c,) marks the contacts that have unknowns."""
+        return self.free[state.candidates.vertex].any(axis=1)
+
+    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
+        """(p,) marks the contacts that count on this rank."""
+        return self.own[state.candidates.vertex[rows, 0]]
+
+    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+        """Rows of the contacts known by codes (p,), which are among the candidates."""
+        return np.searchsorted(state.candidates.code, code)
+
+    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+        """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
+        gap = self.gaps(x, factor, state)
+        least = np.full(len(self.free), BAND * self.layers.thickness)
+        np.minimum.at(least, state.candidates.vertex, gap[:, None])
+        return least[self.here]
+
+    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(local vertices,) the least of the values (p,) of the contacts that a vertex carries a share of, infinite
+        without any."""
+        least, carries = np.full(len(self.free), np.inf), weight != 0.0
+        np.minimum.at(least, vertex[carries], np.repeat(values, carries.sum(axis=1)))
+        return least[self.here]

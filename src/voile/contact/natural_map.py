@@ -1,0 +1,195 @@
+"""The natural map of contact's laws (Alart & Curnier 1991) for a shell with obstacles and with itself.
+
+Each contact (a vertex with an obstacle, up to four vertices with each other) carries a reaction r = r_N n + r_T, kept
+as explicit state with the positions at the start of the step, from which slip is measured. Everything follows from the
+trial reaction lambda = r - rho (gap n + slip): the pair is open where lambda_N <= 0, sticks where |lambda_T| <= mu
+lambda_N, and slips otherwise.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from voile.contact.history import State, blank
+from voile.contact.interfaces import ObstacleContact, SelfContact
+from voile.contact.obstacle import Obstacle
+from voile.contact.pairs import FIRM, Pairs, barrier, within
+
+LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
+OFF_BOUND = 1e-7  # share of friction
+BARRIER = 3.0  # stiffness of the barrier between layers, over rho
+
+
+@dataclass
+class NaturalMap:
+    """That of n vertices with obstacles, and of all with each other if there is `itself`.
+
+    offset (m): from the mid-surface to the surface that touches, one or (k obstacles, n vertices); stiffness (N/m):
+    about the shell's own at a vertex, the natural map's scale; movable (n,): vertices with unknowns; own (n,): those
+    counted here (each vertex on one rank); touch (m): a gap that is none to round-off.
+    """
+
+    obstacles: list[Obstacle]
+    offset: float | np.ndarray
+    stiffness: float
+    movable: np.ndarray
+    own: np.ndarray
+    touch: float
+    itself: SelfContact | None = None
+    state: State = field(init=False)
+    softness: float = 1.0  # factor on rho
+    layers: float = LAYERS  # factor on that of the shell against itself
+    most: float = np.inf  # N/m, of rho
+    sharp: float = np.inf  # N/m, rho in norms at most: with more of it the round-off of gaps would count
+    seconds: float = 0.0  # spent on gaps and candidates
+
+    def __post_init__(self) -> None:
+        k, n = len(self.obstacles), len(self.movable)
+        self.offset = np.broadcast_to(np.asarray(self.offset, dtype=float), (k, n))
+        self.partners: list[ObstacleContact | SelfContact] = [
+            ObstacleContact(o, d, self.movable, self.own)
+            for o, d in zip(self.obstacles, self.offset, strict=True)
+        ]
+        sizes = [(n, 1)] * k
+        if self.itself:
+            self.partners.append(self.itself)
+            sizes.append((0, 4))
+        self.state = blank(sizes, np.zeros((n, 3)))
+
+    def rho(self, k: int) -> float:
+        """N/m, scale of the natural map with partner k."""
+        rho = self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+        return min(rho, self.most)
+
+    @contextmanager
+    def measured(self) -> Iterator[None]:
+        """For norms: layers with the rho of obstacles, and none above `sharp`. The laws are the same with any rho, the
+        round-off of gaps counts for less."""
+        self.layers, self.most = 1.0, self.sharp
+        try:
+            yield
+        finally:
+            self.layers, self.most = LAYERS, np.inf
+
+    @property
+    def firm(self) -> float:
+        """N/m, stiffness of the equations' constraints."""
+        return FIRM * self.stiffness
+
+    @property
+    def moves(self) -> bool:
+        """Whether an obstacle moves along the load path."""
+        return any(o.motion.moves for o in self.obstacles)
+
+    @property
+    def frictions(self) -> list[tuple[str, float]]:
+        """Each partner's name and Coulomb coefficient."""
+        own = [("itself", self.itself.friction)] if self.itself else []
+        return [(o.name, o.friction) for o in self.obstacles] + own
+
+    def begin(self, x: np.ndarray, factor: float) -> None:
+        """Measures slip from positions x (n, 3) at this load factor on. Friction starts off its bound: whether what
+        slipped before now sticks is not left to round-off."""
+        self.state.reference, self.state.factor = x.copy(), factor
+        self.state.friction = [(1.0 - OFF_BOUND) * friction for friction in self.state.friction]
+        if self.itself:
+            self.state.layers = self.itself.widen(x).copy()
+
+    def gap(self, k: int, x: np.ndarray, factor: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
+        return self.obstacles[k].gap(x[rows], factor) - np.asarray(self.offset)[k][rows]
+
+    def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False) -> list[Pairs]:
+        """The pairs with each partner that may carry a reaction. frozen: planes of the state instead of x's."""
+        began = time.perf_counter()
+        found = [self._near(k, x, factor, frozen) for k in range(len(self.partners))]
+        self.seconds += time.perf_counter() - began
+        return [p for p in found if p is not None]
+
+    def _near(self, k: int, x: np.ndarray, factor: float, frozen: bool) -> Pairs | None:
+        partner, wide = self.partners[k], self.partners[k].widen(x)
+        if isinstance(partner, SelfContact):
+            self.state = partner.renewed(wide, self.state, k)
+        s = self.state
+        gap = partner.gaps(wide, factor, s)
+        rho = self.rho(k)
+        near = s.normal[k] - rho * gap >= -rho * self.touch
+        if frozen:
+            near |= (s.bound[k] > 0.0) & np.isfinite(gap)
+        rows = np.flatnonzero(near & partner.movable(s))
+        if not len(rows):
+            return None
+        g = partner.geometry(rows, wide, factor, s)
+        steepness = np.linalg.norm(g.gradient, axis=1)
+        unit = g.gradient / steepness[:, None]
+        plane, grip = (s.plane[k][rows], s.grip[k][rows]) if frozen else (unit, g.weight)
+        d = partner.moved(rows, grip, wide, factor, s)
+        trial = within(plane, s.friction[k][rows] - rho * d)
+        lam_n = s.normal[k][rows] - rho * g.gap
+        slip = within(plane, d)
+        return Pairs(k, partner.friction, rows, g, unit, steepness, lam_n, trial, slip, grip)
+
+    def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
+        if frozen:
+            return self.state.bound[p.index][p.row]
+        return p.friction * p.steepness * np.maximum(p.lam_n, 0.0)
+
+    def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
+        size = np.linalg.norm(p.lam_t, axis=1)
+        bound = self._bounds(p, frozen)
+        share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
+        return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
+
+    def guard(self, p: Pairs) -> np.ndarray:
+        """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way: none
+        where the laws hold."""
+        if p.index < len(self.obstacles) or self.itself is None:
+            return np.zeros((3, len(p.row)))
+        return BARRIER * self.rho(p.index) * barrier(p.gap, self.state.candidates.apart[p.row])
+
+    def slips(self, p: Pairs) -> np.ndarray:
+        """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
+        beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
+        return (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
+
+    def counted(self, p: Pairs) -> np.ndarray:
+        """(p,) marks the pairs that count on this rank."""
+        return self.partners[p.index].counted(p.row, self.state)
+
+    def collect(self, p: Pairs, spread: Callable[[np.ndarray], None], total: np.ndarray) -> None:
+        """Adds the forces that `spread` adds to those on the partner's vertices to total (n, 3)."""
+        partner = self.partners[p.index]
+        forces = np.zeros((len(partner.free), 3))
+        spread(forces)
+        total += partner.narrow(forces)
+
+    # ---- what is reported ----
+
+    def nearest(self, k: int, x: np.ndarray, factor: float) -> np.ndarray:
+        """(n,) gaps (m) of the vertices to partner k, where it is near."""
+        return self.partners[k].nearest(self.partners[k].widen(x), factor, self.state)
+
+    def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
+        g = p.geometry
+        return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
+
+    def mismatch(self, x: np.ndarray, factor: float) -> float:
+        """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
+        pairs, s, total = self.pairs(x, factor), self.state, 0.0
+        held = [normal != 0.0 for normal in s.normal]
+        for p in pairs:
+            normal, tangential = self.project(p)
+            own = self.counted(p)
+            total += float((((s.normal[p.index][p.row] - normal) ** 2)[own]).sum())
+            total += float(((s.friction[p.index][p.row] - tangential)[own] ** 2).sum())
+            held[p.index][p.row] = False
+        for k, rest in enumerate(held):
+            rows = np.flatnonzero(rest)
+            rows = rows[self.partners[k].counted(rows, s)]
+            total += float((s.normal[k][rows] ** 2).sum() + (s.friction[k][rows] ** 2).sum())
+        return total

@@ -1,0 +1,90 @@
+"""What an obstacle is: the interface that each shape in `obstacles.py` implements, in one class."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from voile.contact.motion import Motion
+from voile.contact.surfaces import Triangles
+
+SHAPES: dict[str, type["Obstacle"]] = {}  # by the scene's word, in the order of their classes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obstacle:
+    """A rigid body with Coulomb's coefficient of friction; lengths in m.
+
+    A shape is one subclass, named for scenes by `shape=`: its fields made by `voile.keys.key` are the keys of its scene
+    table. It defines `derivatives` and `surface`, and `distance` where that is cheaper without derivatives.
+    """
+
+    shape: ClassVar[str]
+    name: str = "obstacle"
+    friction: float = 0.0
+    motion: Motion = field(default_factory=Motion)
+
+    def __init_subclass__(cls, shape: str, **other: Any) -> None:
+        super().__init_subclass__(**other)
+        cls.shape = shape
+        SHAPES[shape] = cls
+
+    # ---- in scenes ----
+
+    @classmethod
+    def scene_keys(cls) -> dict[str, dataclasses.Field]:
+        """The keys of the shape's scene table."""
+        return {f.name: f for f in dataclasses.fields(cls) if f.metadata}
+
+    @classmethod
+    def check(cls, table: Any) -> None:
+        """Raises Rejected, with the key's path, for values in the scene's table that do not go together."""
+
+    @classmethod
+    def build(cls, values: dict[str, Any], **common: Any) -> Self:
+        """The body of a scene table's values; common: name, friction, motion."""
+        for name, value in values.items():
+            common[name] = np.array(value, dtype=float) if isinstance(value, tuple) else value
+        return cls(**common)
+
+    # ---- in its own frame ----
+
+    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Signed distance (n,), its gradient (n, 3) and Hessian (n, 3, 3) at points (n, 3) of the body's frame."""
+        raise NotImplementedError
+
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """(n,) signed distance at points of the body's frame, positive outside."""
+        return self.derivatives(p)[0]
+
+    def surface(self, bounds: np.ndarray) -> Triangles:
+        """For pictures: points (n, 3) m on the surface at t = 0 and triangles (m, 3), normals outwards.
+
+        bounds (2, 3) m: lowest and highest corner of what must lie near the patch shown of an unbounded shape.
+        """
+        raise NotImplementedError
+
+    def about(self) -> str:
+        """How exact the distance is."""
+        return "exact distance"
+
+    # ---- in space, as placed at time t ----
+
+    def gap(self, points: np.ndarray, t: float) -> np.ndarray:
+        """(n,) signed distance of points (n, 3)."""
+        return self.distance(self.motion.unplace(points, t) if self.motion.moves else points)
+
+    def gap_derivatives(self, points: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """gap (n,), its gradient (n, 3) and its Hessian (n, 3, 3)."""
+        if not self.motion.moves:
+            return self.derivatives(points)
+        gap, normal, curvature = self.derivatives(self.motion.unplace(points, t))
+        turn = self.motion.turn(t)
+        return gap, normal @ turn.T, turn @ curvature @ turn.T
+
+    def carry(self, points: np.ndarray, start: float, end: float) -> np.ndarray:
+        """(n, 3) where points fixed to the body go from time start to end."""
+        if not self.motion.moves:
+            return points
+        return self.motion.place(self.motion.unplace(points, start), end)
