@@ -33,6 +33,8 @@ def mpirun(launcher: list[str]) -> MpiRun:
     def run(ranks: int, args: Sequence[str], timeout: float) -> subprocess.CompletedProcess[str]:
         env = {k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)}
         env["OPENBLAS_NUM_THREADS"] = "1"
+        # Beside other workers of the suite: ranks that wait give way, and no two runs are bound to the same processor.
+        env |= {"OMPI_MCA_mpi_yield_when_idle": "1", "OMPI_MCA_hwloc_base_binding_policy": "none"}
         env["OMPI_MCA_btl_vader_single_copy_mechanism"] = "none"  # containers forbid reading another process
         command = [*launcher, "-n", str(ranks), *map(str, args)]
         with subprocess.Popen(
