@@ -7,6 +7,7 @@
 
 #include <algorithm>
 
+#include "coarsen.hpp"
 #include "elastic.hpp"
 #include "loads.hpp"
 #include "scatter.hpp"
@@ -220,6 +221,43 @@ static void bind_scatter(nb::module_& m) {
            });
 }
 
+static void bind_coarsen(nb::module_& m) {
+  // (triangle, corner, rest_corner, home, weight, feature, kind, hang, hang_weight) of the coarse mesh
+  m.def("coarsen", [](Ints corner, Ints rest_corner, Ints chart, Doubles start, Doubles rest, Ints support,
+                      Ints group, Ints locked, Ints feature, Ints kind, Ints hang, Doubles hang_weight,
+                      int target) {
+    size_t triangles = chart.size(), vertices = support.size();
+    auto indices = [](const Ints& array, size_t size, size_t count, const char* name) {
+      std::span<const int> values(sized(array, size, name), size);
+      for (int v : values)
+        if (v < 0 || v >= (int)count) throw nb::value_error("coarsen: index out of range");
+      return values;
+    };
+    FineMesh mesh{
+        .corner = indices(corner, 3 * triangles, vertices, "corner"),
+        .rest_corner = indices(rest_corner, 3 * triangles, rest.size() / 3, "rest_corner"),
+        .chart = {chart.data(), triangles},
+        .start = {sized(start, 3 * vertices, "start"), 3 * vertices},
+        .rest = {rest.data(), rest.size()},
+        .support = {support.data(), vertices},
+        .group = indices(group, vertices, vertices, "group"),
+        .locked = {sized(locked, vertices, "locked"), vertices},
+        .feature = indices(feature, 2 * kind.size(), vertices, "feature"),
+        .kind = {kind.data(), kind.size()},
+        .hang = indices(hang, 3 * hang_weight.size(), vertices, "hang"),
+        .hang_weight = {hang_weight.data(), hang_weight.size()},
+    };
+    CoarseMesh out = coarsen(mesh, target);
+    size_t m = out.triangle.size(), f = out.kind.size(), k = out.hang_weight.size();
+    return nb::make_tuple(to_numpy(std::move(out.triangle), {m}), to_numpy(std::move(out.corner), {m, 3}),
+                          to_numpy(std::move(out.rest_corner), {m, 3}),
+                          to_numpy(std::move(out.home), {vertices}),
+                          to_numpy(std::move(out.weight), {vertices, 3}),
+                          to_numpy(std::move(out.feature), {f, 2}), to_numpy(std::move(out.kind), {f}),
+                          to_numpy(std::move(out.hang), {k, 3}), to_numpy(std::move(out.hang_weight), {k}));
+  });
+}
+
 NB_MODULE(_kernels, m) {
   nb::set_leak_warnings(false);  // objects may outlive the interpreter through PETSc callbacks
   m.doc() = "Elastic energies of triangle meshes and their derivatives (C++).";
@@ -227,6 +265,7 @@ NB_MODULE(_kernels, m) {
         "Instruction set of the kernels in use: baseline, avx2 or avx512.");
   bind_model(m);
   bind_scatter(m);
+  bind_coarsen(m);
   m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, double factor) {
     add_pressure_hessian(scatter, corners.data(), positions.data(), corners.size() / 3, factor);
   });

@@ -1,0 +1,273 @@
+"""Coarse levels of a shell for nested iteration, and what carries a coarse shape to the fine mesh.
+
+Half edges are collapsed (src/cpp/coarsen.hpp), so coarse vertices are fine ones: what vertices carry is restricted by
+picking. Borders, cuts, fabrics, clamps, supports and seams keep their places.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from voile import _kernels
+from voile.mesh.stitches import Stitches, join, sewing_matrix
+from voile.mesh.topology import Topology, build_topology
+from voile.problem.shell import Shell, triangle_areas
+
+BORDER, CUT, CLAMP, FABRIC, SUPPORT = 1, 2, 4, 8, 16  # kinds of feature lines, as in coarsen.hpp
+WORTH = 0.7  # of the vertices: a level that keeps more is none
+
+
+@dataclass
+class Prolongation:
+    """Carries shapes of a coarse mesh (nc vertices) to the fine one (nf) that it was made of.
+
+    kept (nc,): fine vertex that each coarse one is. Every fine vertex lies at barycentric weights (nf, 3) of the
+    coarse vertices corners (nf, 3), those of the rest shape, and off that point by offset (nf, 3) m in the triangle's
+    frame: along its first edge, in its plane, along its normal. Offsets are those of the start shape.
+    """
+
+    kept: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+    offset: np.ndarray
+
+    def positions(self, coarse: np.ndarray) -> np.ndarray:
+        """(nf, 3) the fine shape to a coarse one (nc, 3) m: kept vertices where the coarse ones are."""
+        fine = self.interpolate(coarse)
+        fine += np.einsum("nij,nj->ni", _frames(coarse[self.corners]), self.offset)
+        fine[self.kept] = coarse
+        return fine
+
+    def interpolate(self, field: np.ndarray) -> np.ndarray:
+        """(nf, ...) a coarse field (nc, ...), linear in every coarse triangle."""
+        return np.einsum("nk,nk...->n...", self.weights, field[self.corners])
+
+    def restrict(self, field: np.ndarray) -> np.ndarray:
+        """(nc, ...) a fine field (nf, ...) at the kept vertices."""
+        return field[self.kept]
+
+    def gather(self, load: np.ndarray) -> np.ndarray:
+        """(nc, ...) coarse loads to fine ones (nf, ...) of the same work: the transpose of `interpolate`."""
+        fine = np.repeat(np.arange(len(self.corners)), 3)
+        shape = len(self.kept), len(self.corners)
+        transpose = sp.csr_matrix((self.weights.ravel(), (self.corners.ravel(), fine)), shape=shape)
+        return transpose @ load
+
+
+def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | None:
+    """A shell of about ratio times as many vertices and of the same mass, and its prolongation; None where it keeps
+    most of them, or where moments act on half edges."""
+    if shell.moment is not None:
+        return None
+    seams = _Seams(shell)
+    start = shell.points if shell.closing is None else shell.points + shell.closing
+    solid = _clamped(shell).all(axis=1)
+    feature, kind = _features(shell, solid)
+    triangle, corner, rest_corner, home, weight, feature, kind, hang, hang_weight = _kernels.coarsen(
+        _ints(shell.triangles),
+        _ints(shell.rest_triangles),
+        _ints(_charts(shell)),
+        np.ascontiguousarray(start, dtype=float),
+        np.ascontiguousarray(shell.rest_points, dtype=float),
+        _ints(_supports(shell)),
+        _ints(seams.label),
+        _ints(_fans(shell) > 1) | _ints(seams.bound(feature, kind)),
+        _ints(feature),
+        _ints(kind),
+        _ints(seams.hang),
+        seams.weight,
+        int(np.ceil(ratio * len(shell.points))),
+    )
+    loose = np.setdiff1d(np.arange(len(shell.points)), shell.triangles)
+    kept = np.union1d(corner, loose)
+    if len(kept) > WORTH * len(shell.points):
+        return None
+    number = np.full(len(shell.points), -1)
+    number[kept] = np.arange(len(kept))
+    corners = number[corner[home]]
+    corners[loose], weight[loose] = number[loose][:, None], (1.0, 0.0, 0.0)
+    at = np.einsum("nk,nki->ni", weight, start[kept][corners])
+    offset = np.einsum("nji,nj->ni", _frames(start[kept][corners]), start - at)
+    offset[kept] = 0.0
+    prolongation = Prolongation(kept, corners, weight, offset)
+    triangles = number[corner].astype(np.int32)
+    rest_kept, rest_triangles = kept, triangles
+    if not np.array_equal(corner, rest_corner):
+        rest_kept, rest_triangles = np.unique(rest_corner, return_inverse=True)
+        rest_triangles = rest_triangles.reshape(-1, 3).astype(np.int32)
+    topology = build_topology(triangles)
+    clamps = number[feature[kind & CLAMP > 0]]
+    coarse = Shell(
+        points=shell.points[kept],
+        triangles=triangles,
+        rest_points=shell.rest_points[rest_kept],
+        rest_triangles=rest_triangles,
+        flat=shell.flat,
+        model=shell.model,
+        thickness=shell.thickness[triangle],
+        young=shell.young[triangle],
+        poisson=shell.poisson[triangle],
+        density=shell.density[triangle],
+        fixed=shell.fixed[kept],
+        motion=shell.motion[kept],
+        clamped_edges=_edges(topology, clamps, solid[triangle]),
+        gravity=shell.gravity,
+        pressure=shell.pressure,
+        force=None if shell.force is None else prolongation.gather(shell.force),
+        topology=topology,
+        seam_bending=shell.seam_bending,
+        **seams.records(number, hang, hang_weight),
+    )
+    coarse.density *= _mass(shell) / _mass(coarse)  # flat facets cut corners off
+    if shell.closing is not None:
+        coarse.closing = _closing(coarse, start[kept])
+    return coarse, prolongation
+
+
+def _ints(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, dtype=np.int32)
+
+
+def _frames(corners: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) columns: unit vectors along the first edge, across it in the plane, and normal of triangles (n, 3, 3);
+    zero where there are none."""
+    along = _unit(corners[:, 1] - corners[:, 0])
+    normal = _unit(np.cross(along, corners[:, 2] - corners[:, 0]))
+    return np.stack([along, np.cross(normal, along), normal], axis=2)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
+
+
+def _mass(shell: Shell) -> float:
+    areas = triangle_areas(shell.rest_points, shell.rest_triangles)
+    return float(shell.density * shell.thickness @ areas)
+
+
+# ---- what the fine mesh keeps ----
+
+
+def _clamped(shell: Shell) -> np.ndarray:
+    """(m, 3) marks clamped half edges."""
+    clamped = np.zeros(len(shell.topology.edges), dtype=bool)
+    clamped[shell.clamped_edges] = True
+    return clamped[shell.topology.triangle_edges]
+
+
+def _charts(shell: Shell) -> np.ndarray:
+    """(m,) piece of the rest shape that each triangle belongs to."""
+    r, n = shell.rest_triangles, len(shell.rest_points)
+    pair = np.concatenate([r[:, :2], r[:, 1:]])
+    graph = sp.csr_matrix((np.ones(len(pair)), (pair[:, 0], pair[:, 1])), shape=(n, n))
+    return connected_components(graph, directed=False)[1][r[:, 0]]
+
+
+def _supports(shell: Shell) -> np.ndarray:
+    """(n,) equal numbers for vertices that are held alike, 0 for free ones."""
+    held = np.column_stack([shell.fixed, np.where(shell.fixed, shell.motion, 0.0)])
+    rows = np.unique(np.vstack([np.zeros((1, 6)), held]), axis=0, return_inverse=True)[1].ravel()
+    return np.where(rows == rows[0], 0, 1 + rows)[1:]
+
+
+def _fans(shell: Shell) -> np.ndarray:
+    """(n,) sheets of triangles that meet in each vertex: more than one where it alone joins them."""
+    topology = build_topology(shell.triangles)
+    half = np.flatnonzero(topology.across.ravel() >= 0)
+    other = topology.across.ravel()[half]
+    t, k, s, j = half // 3, half % 3, other // 3, other % 3
+    # the half edge runs from corner k + 1 to k + 2, its twin back
+    one = np.concatenate([3 * t + (k + 1) % 3, 3 * t + (k + 2) % 3])
+    two = np.concatenate([3 * s + (j + 2) % 3, 3 * s + (j + 1) % 3])
+    size = shell.triangles.size
+    graph = sp.csr_matrix((np.ones(len(one)), (one, two)), shape=(size, size))
+    fan = connected_components(graph, directed=False)[1]
+    first = np.unique(fan, return_index=True)[1]
+    return np.bincount(shell.triangles.ravel()[first], minlength=len(shell.points))
+
+
+def _features(shell: Shell, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(f, 2) edges of the feature lines and (f,) their kinds. solid (m,): triangles clamped all around."""
+    topology = build_topology(shell.triangles)
+    across = topology.across.ravel()
+    half = np.arange(len(across))
+    start, end, opposite = (3 * (half // 3) + (half + k) % 3 for k in (1, 2, 0))
+    border = across < 0
+    other = np.where(border, half, across)
+    rest = shell.rest_triangles.ravel()
+    cut = ~border & ((rest[start] != rest[end[other]]) | (rest[end] != rest[start[other]]))
+    fabric = np.column_stack([shell.thickness, shell.young, shell.poisson, shell.density])
+    seam = (fabric[half // 3] != fabric[other // 3]).any(axis=1)
+    clamp = _clamped(shell).ravel() & (border | ~(solid[half // 3] & solid[other // 3]))
+    key, corner = _supports(shell), shell.triangles.ravel()
+    held = (key[corner[start]] > 0) & (key[corner[start]] == key[corner[end]])
+    inside = (key[corner[opposite]] == key[corner[start]]) & (
+        key[corner[opposite[other]]] == key[corner[start]]
+    )
+    held &= border | ~inside
+    bits = BORDER * border + CUT * cut + CLAMP * clamp + FABRIC * seam + SUPPORT * held
+    kind = np.zeros(len(topology.edges), dtype=np.int64)
+    np.bitwise_or.at(kind, topology.triangle_edges.ravel(), bits)
+    on = np.flatnonzero(kind)
+    return topology.edges[on], kind[on]
+
+
+def _edges(topology: Topology, pairs: np.ndarray, solid: np.ndarray) -> np.ndarray:
+    """Indices of edges that are given by their vertices (k, 2), and of those of solid triangles (m,)."""
+    n = int(topology.edges.max(initial=0)) + 1
+    key = topology.edges @ np.array([n, 1])
+    given = np.searchsorted(key, np.sort(pairs, axis=1) @ np.array([n, 1]))
+    return np.union1d(given, topology.triangle_edges[solid]).astype(np.int32)
+
+
+class _Seams:
+    """Stitches of a shell as groups of vertices that are one, and vertices that hang on an edge.
+
+    label (n,): smallest vertex that each is sewn to; hang (k, 3) slave, first and second; weight (k,).
+    """
+
+    def __init__(self, shell: Shell):
+        self.label = np.arange(len(shell.points))
+        stitches = Stitches(shell.slave, shell.first, shell.second, shell.weight)
+        row = np.zeros(0, dtype=np.int64)
+        if len(stitches):
+            self.label, hangs = join(stitches, len(shell.points))
+            row = hangs[np.unique(self.label[stitches.slave[hangs]], return_index=True)[1]]  # one is enough
+        self.hang = np.column_stack([shell.slave, shell.first, shell.second])[row]
+        self.weight = np.ascontiguousarray(shell.weight[row], dtype=float)
+
+    def bound(self, feature: np.ndarray, kind: np.ndarray) -> np.ndarray:
+        """(n,) marks vertices that must stay: sewn ones off the border, and ends of a seam that follow no border."""
+        n = len(self.label)
+        border = feature[kind & BORDER > 0]
+        rim = np.zeros(n, dtype=bool)
+        rim[border] = True
+        sewn = np.bincount(self.label, minlength=n)[self.label] > 1
+        sewn[self.hang] = True
+        across = np.sort(self.hang[:, 1:], axis=1) @ np.array([n, 1])
+        along = np.isin(across, np.sort(border, axis=1) @ np.array([n, 1]))
+        still = sewn & ~rim
+        still[self.hang[~along]] = True
+        return still
+
+    def records(self, number: np.ndarray, hang: np.ndarray, weight: np.ndarray) -> dict[str, np.ndarray]:
+        """Stitches of the coarse shell. number (n,): its vertices, -1 where one is gone."""
+        one = np.flatnonzero((self.label != np.arange(len(self.label))) & (number >= 0))
+        root = self.label[one]
+        slave, first, second = (
+            number[np.vstack([np.column_stack([one, root, root]), hang])].astype(np.int32).T
+        )
+        return {
+            "slave": slave,
+            "first": first,
+            "second": second,
+            "weight": np.concatenate([np.zeros(len(one)), weight]),
+        }
+
+
+def _closing(shell: Shell, closed: np.ndarray) -> np.ndarray:
+    """(n, 3) displacement to closed (n, 3) m, with all seams closed exactly."""
+    sewing, base = sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(closed))
+    return sewing @ closed[base] - shell.points
