@@ -1,6 +1,7 @@
 """Scenes with absurd values: each ends with a clear message, or works."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -103,3 +104,18 @@ def test_a_seam_allowance_larger_than_the_shell(voile):
     code, said, _ = voile(text)
     assert code == 2
     assert "inverse.seam_allowance: 1e+200 m; allowed: at most the shell's size, 0.2828 m" in said
+
+
+@pytest.mark.mpi
+def test_panels_of_a_plane_on_two_ranks(voile, tmp_path, mpirun):
+    """A plane's angle defects depend on its vertices to second order only: their derivative is zero."""
+    more = '[inverse]\ndevelopable = "panels"\niterations = 1\n[loads]\ngravity = [0.0, 0.0, -9.81]\n'
+    text = INVERSE + SHELL.format(young=1e8, density=300.0) + HELD + more
+    (tmp_path / "scene.toml").write_text(text)
+    arguments = ["-m", "voile.cli", "run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")]
+    done = mpirun(2, [sys.executable, *arguments], 120)
+    assert done.returncode in (0, 3), done.stderr
+    assert (
+        "flat panels with a stable equilibrium"
+        in json.loads((tmp_path / "out" / "summary.json").read_text())["reason"]
+    )

@@ -3,13 +3,18 @@
 import json
 import subprocess
 import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from voile import _kernels
+from voile.cli import main
 from voile.elastic import BENDING, MATERIALS, MODELS, has_directors, model_name, model_of
-from voile.results import read_result
+from voile.results import read_result, read_summary
+from voile.scene import tasks
+from voile.solver.path import Path
+from voile.tasks.run import rows
 
 # A slab between two parallel planes: keys, distance and drawing surface, and nothing else anywhere.
 SLAB = """
@@ -79,10 +84,15 @@ OBSTACLES = {
 }
 
 
+@pytest.fixture(autouse=True)
+def strip(tmp_path):
+    """The mesh of the scenes."""
+    (tmp_path / "strip.obj").write_text(STRIP)
+
+
 @pytest.fixture
 def voile(tmp_path):
     """voile(*args): the command line, with the slab known to it."""
-    (tmp_path / "strip.obj").write_text(STRIP)
     (tmp_path / "slab.py").write_text(SLAB)
 
     def run(*args: str) -> subprocess.CompletedProcess[str]:
@@ -146,3 +156,28 @@ def test_the_table_of_models_says_what_the_kernels_are(model, bending, material)
     bent = kernel.energy(folded, np.zeros(5))[1]
     assert kernel.directors == has_directors(name)
     assert (bent > 0.0) == model_of(name).bends
+
+
+def weigh(job) -> str:
+    """A task: the shell's mass, and its start shape as result."""
+    shell, problem = job.prepare()
+    y = problem.create_vector()
+    with job.results(job.mesh(shell, problem.directors)) as writer:
+        writer.write_step(0.0, scalars={}, **rows(problem, y))
+    job.summarise(problem, Path(y, converged=True, reason="weighed"), mass=problem.part.mass[::3].sum())
+    return ""
+
+
+def test_a_new_task_is_one_function(tmp_path, monkeypatch):
+    module = ModuleType("voile.tasks.modes")
+    module.run = weigh
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(tasks.TASKS, "modes", True)
+    (tmp_path / "scene.toml").write_text('[scene]\ntask = "modes"\n' + SCENE + OBSTACLES["plane"])
+    assert main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")]) == 0
+    summary = read_summary(tmp_path / "out" / "summary.json")
+    assert summary["mass"] == pytest.approx(0.15 * 0.05 * 1e-3 * 300.0)
+    assert summary["task"] == "modes" and summary["converged"] and "contact" in summary["modelled"]
+    with read_result(tmp_path / "out") as result:
+        assert (result.points() == result.start).all()
+        assert result.bodies[0].name == "plane 0" and set(result.point_fields) >= {"gap", "reaction"}

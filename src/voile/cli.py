@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread per rank; before numpy loads its BLAS
@@ -202,7 +203,7 @@ def _run(args: argparse.Namespace) -> int:
     from mpi4py import MPI
 
     from voile.results import prepare_output
-    from voile.tasks import Progress, run_inverse, run_statics, summarise_refusal
+    from voile.tasks import Progress, Run
 
     comm = MPI.COMM_WORLD
     scene, model = on_root(comm, lambda: _load(args)) or (None, None)
@@ -210,13 +211,14 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
-    task = {"statics": run_statics, "inverse": run_inverse}[scene.scene.task]
+    job = Run(scene, model, folder, comm, progress, began)
+    task = import_module(f"voile.tasks.{scene.scene.task}")
     try:
         with _stoppable():
-            failure = task(scene, model, folder, comm, progress, began)
+            failure = task.run(job)
     except (NotConverged, KeyboardInterrupt) as reason:
         failure = str(reason) or "stopped by a signal"
-        summarise_refusal(scene, model, folder, failure)
+        job.refuse(failure)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

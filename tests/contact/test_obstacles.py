@@ -215,3 +215,31 @@ def test_hessians_turn_with_the_body_at_singular_points_too():
     np.testing.assert_allclose(moved, expected, atol=1e-9)
     flat = body.gap_derivatives(MOTION.place(p, FACTOR), FACTOR)[2][0]
     assert np.abs(flat @ turn @ AXIS).max() < 1e-12 * np.abs(flat).max()
+
+
+class Swing(Motion):
+    """Another law of motion: to and fro, turning ever further."""
+
+    moves = True
+
+    def shift(self, t):
+        return np.sin(3.0 * t) * self.displacement
+
+    def turn(self, t):
+        return super().turn(t**2)
+
+
+@EVERY
+def test_a_law_of_motion_is_its_shift_and_turn(name):
+    swing = Swing(displacement=MOTION.displacement, rotation=MOTION.rotation, center=MOTION.center)
+    body, still, p = shape(name, swing), shape(name), around()
+    for t in (0.0, 0.4, 1.3):
+        angle, axis = t**2 * norm(MOTION.rotation), normalised(MOTION.rotation)
+        d = p - MOTION.center
+        turned = np.cos(angle) * d + np.sin(angle) * np.cross(axis, d)
+        turned += (1.0 - np.cos(angle)) * np.outer(d @ axis, axis)  # Rodrigues
+        there = turned + MOTION.center + np.sin(3.0 * t) * MOTION.displacement
+        np.testing.assert_allclose(body.carry(p, 0.0, t), there, atol=1e-12)
+        np.testing.assert_allclose(body.gap(there, t), still.gap(p, 0.0), atol=1e-12)
+        matrix = swing.matrix(t)
+        np.testing.assert_allclose(p @ matrix[:3, :3].T + matrix[:3, 3], there, atol=1e-12)

@@ -15,8 +15,9 @@ PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
 class State:
     """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
     contacts: reactions normal (c,) and friction (c, 3) in N, the frozen friction bounds (c,) N, planes (c, 3; unit
-    normals) and grips (c, s; weights of the contact's vertices) of the potential. Positions at the step's start,
-    reference (n, 3) m and, of all vertices, layers; its load factor. candidates: the shell's contacts with itself."""
+    normals) and grips (c, s; weights of the contact's vertices) of the potential. Of the step's start: positions
+    reference (n, 3) m and, of all vertices, layers; the time, in statics the load factor, `factor`. candidates: the
+    shell's contacts with itself."""
 
     normal: list[np.ndarray]
     friction: list[np.ndarray]

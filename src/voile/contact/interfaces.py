@@ -36,20 +36,18 @@ class ObstacleContact:
     def narrow(self, forces: np.ndarray) -> np.ndarray:
         return forces
 
-    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+    def gaps(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(n,) m."""
-        return self.obstacle.gap(x, factor) - self.offset
+        return self.obstacle.gap(x, t) - self.offset
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
+    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, state: State) -> Geometry:
         """That of some contacts."""
-        gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], factor)
+        gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t)
         return Geometry(gap - self.offset[rows], gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
-    def moved(
-        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
-    ) -> np.ndarray:
+    def moved(self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
-        return x[rows] - self.obstacle.carry(state.reference[rows], state.factor, factor)
+        return x[rows] - self.obstacle.carry(state.reference[rows], state.factor, t)
 
     def movable(self, state: State) -> np.ndarray:
         """(n,) marks the contacts that have unknowns."""
@@ -63,9 +61,9 @@ class ObstacleContact:
         """Rows of the contacts known by codes (p,): the vertices themselves."""
         return code
 
-    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+    def nearest(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(n,) gap (m) of each vertex."""
-        return self.gaps(x, factor, state)
+        return self.gaps(x, t, state)
 
     def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""
@@ -112,11 +110,11 @@ class SelfContact:
             part[k] = rows
         return renewed
 
-    def gaps(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+    def gaps(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(c,) m; infinite for edges that are not closest inside both."""
         return self._closest(state.candidates, x).distance - state.candidates.apart
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, factor: float, state: State) -> Geometry:
+    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, state: State) -> Geometry:
         """That of some contacts, whose gaps are finite."""
         vertex = state.candidates.vertex[rows]
         c = self._closest(state.candidates, x)[rows]
@@ -129,9 +127,7 @@ class SelfContact:
             self._last = candidates, x.copy(), closest(candidates, x)
         return self._last[2]
 
-    def moved(
-        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, factor: float, state: State
-    ) -> np.ndarray:
+    def moved(self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         vertex = state.candidates.vertex[rows]
         return np.einsum("ps,psi->pi", grip, x[vertex] - state.layers[vertex])
@@ -148,9 +144,9 @@ class SelfContact:
         """Rows of the contacts known by codes (p,), which are among the candidates."""
         return np.searchsorted(state.candidates.code, code)
 
-    def nearest(self, x: np.ndarray, factor: float, state: State) -> np.ndarray:
+    def nearest(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
         """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
-        gap = self.gaps(x, factor, state)
+        gap = self.gaps(x, t, state)
         least = np.full(len(self.free), BAND * self.layers.thickness)
         np.minimum.at(least, state.candidates.vertex, gap[:, None])
         return least[self.here]

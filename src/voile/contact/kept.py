@@ -31,11 +31,11 @@ class Springs:
 class Kept:
     """Linear springs in place of all contacts that bear: closed and without slip they carry the present reactions."""
 
-    def __init__(self, contact: NaturalMap, x: np.ndarray, factor: float):
+    def __init__(self, contact: NaturalMap, x: np.ndarray, t: float):
         """What bears at positions x (n, 3)."""
         self.contact, self.stiffness = contact, STIFF * contact.stiffness
         self.springs: list[Springs] = []
-        pairs = contact.pairs(x, factor)
+        pairs = contact.pairs(x, t)
         s = contact.state  # with the layers that are near now
         for p in pairs:
             g, normal, wide = p.geometry, s.normal[p.index][p.row], contact.partners[p.index].widen(x)

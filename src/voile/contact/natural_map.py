@@ -3,7 +3,7 @@
 Each contact (a vertex with an obstacle, up to four vertices with each other) carries a reaction r = r_N n + r_T, kept
 as explicit state with the positions at the start of the step, from which slip is measured. Everything follows from the
 trial reaction lambda = r - rho (gap n + slip): the pair is open where lambda_N <= 0, sticks where |lambda_T| <= mu
-lambda_N, and slips otherwise.
+lambda_N, and slips otherwise. Throughout t is the time that obstacles move in: in statics the load factor.
 """
 
 import time
@@ -90,31 +90,31 @@ class NaturalMap:
         own = [("itself", self.itself.friction)] if self.itself else []
         return [(o.name, o.friction) for o in self.obstacles] + own
 
-    def begin(self, x: np.ndarray, factor: float) -> None:
-        """Measures slip from positions x (n, 3) at this load factor on. Friction starts off its bound: whether what
+    def begin(self, x: np.ndarray, t: float) -> None:
+        """Measures slip from positions x (n, 3) at time t on. Friction starts off its bound: whether what
         slipped before now sticks is not left to round-off."""
-        self.state.reference, self.state.factor = x.copy(), factor
+        self.state.reference, self.state.factor = x.copy(), t
         self.state.friction = [(1.0 - OFF_BOUND) * friction for friction in self.state.friction]
         if self.itself:
             self.state.layers = self.itself.widen(x).copy()
 
-    def gap(self, k: int, x: np.ndarray, factor: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+    def gap(self, k: int, x: np.ndarray, t: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
-        return self.obstacles[k].gap(x[rows], factor) - np.asarray(self.offset)[k][rows]
+        return self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
 
-    def pairs(self, x: np.ndarray, factor: float, *, frozen: bool = False) -> list[Pairs]:
+    def pairs(self, x: np.ndarray, t: float, *, frozen: bool = False) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction. frozen: planes of the state instead of x's."""
         began = time.perf_counter()
-        found = [self._near(k, x, factor, frozen) for k in range(len(self.partners))]
+        found = [self._near(k, x, t, frozen) for k in range(len(self.partners))]
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
-    def _near(self, k: int, x: np.ndarray, factor: float, frozen: bool) -> Pairs | None:
+    def _near(self, k: int, x: np.ndarray, t: float, frozen: bool) -> Pairs | None:
         partner, wide = self.partners[k], self.partners[k].widen(x)
         if isinstance(partner, SelfContact):
             self.state = partner.renewed(wide, self.state, k)
         s = self.state
-        gap = partner.gaps(wide, factor, s)
+        gap = partner.gaps(wide, t, s)
         rho = self.rho(k)
         near = s.normal[k] - rho * gap >= -rho * self.touch
         if frozen:
@@ -122,11 +122,11 @@ class NaturalMap:
         rows = np.flatnonzero(near & partner.movable(s))
         if not len(rows):
             return None
-        g = partner.geometry(rows, wide, factor, s)
+        g = partner.geometry(rows, wide, t, s)
         steepness = np.linalg.norm(g.gradient, axis=1)
         unit = g.gradient / steepness[:, None]
         plane, grip = (s.plane[k][rows], s.grip[k][rows]) if frozen else (unit, g.weight)
-        d = partner.moved(rows, grip, wide, factor, s)
+        d = partner.moved(rows, grip, wide, t, s)
         trial = within(plane, s.friction[k][rows] - rho * d)
         lam_n = s.normal[k][rows] - rho * g.gap
         slip = within(plane, d)
@@ -169,18 +169,18 @@ class NaturalMap:
 
     # ---- what is reported ----
 
-    def nearest(self, k: int, x: np.ndarray, factor: float) -> np.ndarray:
+    def nearest(self, k: int, x: np.ndarray, t: float) -> np.ndarray:
         """(n,) gaps (m) of the vertices to partner k, where it is near."""
-        return self.partners[k].nearest(self.partners[k].widen(x), factor, self.state)
+        return self.partners[k].nearest(self.partners[k].widen(x), t, self.state)
 
     def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
         g = p.geometry
         return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
 
-    def mismatch(self, x: np.ndarray, factor: float) -> float:
+    def mismatch(self, x: np.ndarray, t: float) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
-        pairs, s, total = self.pairs(x, factor), self.state, 0.0
+        pairs, s, total = self.pairs(x, t), self.state, 0.0
         held = [normal != 0.0 for normal in s.normal]
         for p in pairs:
             normal, tangential = self.project(p)

@@ -46,7 +46,7 @@ class Contact(NaturalMap):
         self, x: np.ndarray, began: float, moved: np.ndarray, ended: float, shares: np.ndarray, size: float
     ) -> np.ndarray:
         """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
-        load factor `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
+        time `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
         (m): the shell's."""
         start, way = time.perf_counter(), moved - x
         length, inside = np.linalg.norm(way, axis=1), np.zeros(len(x), dtype=bool)
@@ -60,36 +60,36 @@ class Contact(NaturalMap):
 
     # ---- as a potential ----
 
-    def energy(self, x: np.ndarray, factor: float) -> float:
+    def energy(self, x: np.ndarray, t: float) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
         if self.kept:
             return self.kept.energy(x)
         total = 0.0
-        for p in self.pairs(x, factor, frozen=True):
+        for p in self.pairs(x, t, frozen=True):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             stuck = np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
             laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / self.rho(p.index)
             total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
         return total
 
-    def force(self, x: np.ndarray, factor: float, frozen: bool) -> np.ndarray:
+    def force(self, x: np.ndarray, t: float, frozen: bool) -> np.ndarray:
         """(n, 3) projected trial reactions on the shell (N)."""
         if self.kept and frozen:
             return self.kept.force(x)
         total = np.zeros_like(x)
-        for p in self.pairs(x, factor, frozen=frozen):
+        for p in self.pairs(x, t, frozen=frozen):
             normal, tangential = self.project(p, frozen)
             if frozen:
                 normal += self.guard(p)[1]
             self.collect(p, partial(p.spread, normal, tangential), total)
         return total
 
-    def blocks(self, x: np.ndarray, factor: float, convex: bool):
+    def blocks(self, x: np.ndarray, t: float, convex: bool):
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
         if self.kept:
             yield from self.kept.blocks()
             return
-        for p in self.pairs(x, factor, frozen=True):
+        for p in self.pairs(x, t, frozen=True):
             _, push, stiff = self.guard(p)
             stiff += self.rho(p.index) * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
@@ -104,27 +104,27 @@ class Contact(NaturalMap):
             tangent *= self.rho(p.index) * (share * (bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.grip)
 
-    def adopt(self, x: np.ndarray, factor: float) -> None:
+    def adopt(self, x: np.ndarray, t: float) -> None:
         """The projected trial reactions, with the barrier's push, become the reactions, and with them bounds and planes
         of the potential."""
-        pairs = self.pairs(x, factor)
+        pairs = self.pairs(x, t)
         fresh = self.state.each(np.zeros_like)
         for p in pairs:
             normal, fresh.friction[p.index][p.row] = self.project(p)
             fresh.normal[p.index][p.row] = normal + self.guard(p)[1]
         self.state = fresh
-        self.freeze(x, factor)
+        self.freeze(x, t)
 
-    def freeze(self, x: np.ndarray, factor: float) -> None:
+    def freeze(self, x: np.ndarray, t: float) -> None:
         """Bounds, planes and grips of the potential as the reactions and positions x have them."""
         s = self.state
         for k, partner in enumerate(self.partners):
             wide = partner.widen(x)
             s.bound[k] = partner.friction * np.maximum(s.normal[k], 0.0)
-            s.bound[k][~np.isfinite(partner.gaps(wide, factor, s))] = 0.0
+            s.bound[k][~np.isfinite(partner.gaps(wide, t, s))] = 0.0
             rows = np.flatnonzero(s.bound[k] > 0.0)
             if len(rows):
-                g = partner.geometry(rows, wide, factor, s)
+                g = partner.geometry(rows, wide, t, s)
                 steepness = np.linalg.norm(g.gradient, axis=1)
                 s.plane[k][rows] = g.gradient / steepness[:, None]
                 s.grip[k][rows] = g.weight
@@ -132,6 +132,6 @@ class Contact(NaturalMap):
 
     # ---- as equations ----
 
-    def linearise(self, x: np.ndarray, factor: float) -> Linearised:
+    def linearise(self, x: np.ndarray, t: float) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions."""
-        return Linearised(self, [Equations(self, p) for p in self.pairs(x, factor)])
+        return Linearised(self, [Equations(self, p) for p in self.pairs(x, t)])

@@ -170,6 +170,7 @@ class DevelopableRest:
         scaled.diagonalScale(None, self.inverse_mass)
         gram = scaled.matTransposeMult(self._jacobian)
         scaled.destroy()
+        gram.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)  # a plane's rows are empty
         diagonal = gram.getDiagonal()
         gram.shift((damping + LEAST_DAMPING) * diagonal.max()[1])
         self._factor = PETSc.PC().create(comm=self.problem.comm)

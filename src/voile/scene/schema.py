@@ -29,7 +29,7 @@ from voile.keys import (
     vector,
 )
 from voile.scene.obstacles import Body, Obstacle
-from voile.scene.tasks import Dynamics, Inverse, Output, Statics
+from voile.scene.tasks import TASKS, Dynamics, Inverse, Output, Statics
 
 SELECT = Selection(
     {
@@ -49,7 +49,7 @@ _SELECT_MEANING = (
 @dataclass(frozen=True, kw_only=True)
 class Heading:
     name: str = key(Text(), "title of the scene", default="")
-    task: str = key(Choice("statics", "dynamics", "inverse", "modes"), "what to compute", default="statics")
+    task: str = key(Choice(*TASKS), "what to compute", default="statics")
 
 
 THICKNESS = Number("m", above=0)
@@ -236,7 +236,7 @@ def unsupported(scene: Scene) -> list[str]:
     """What the scene asks for that this version cannot compute yet, by key; empty when it can be run."""
     inverse = scene.scene.task == "inverse"
     asked = {
-        f'scene.task = "{scene.scene.task}"': scene.scene.task not in ("statics", "inverse"),
+        f'scene.task = "{scene.scene.task}"': not TASKS[scene.scene.task],
         f'shell.model = "{scene.shell.model}"': scene.shell.model in PLANNED,
         "contact.self_contact = true with inverse.estimate": inverse
         and scene.contact.self_contact

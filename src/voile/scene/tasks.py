@@ -5,6 +5,13 @@ from pathlib import Path
 
 from voile.keys import Array, Boolean, Choice, File, Integer, Number, Rejected, key
 
+TASKS = {
+    "statics": True,
+    "dynamics": False,
+    "inverse": True,
+    "modes": False,
+}  # whether this version runs them
+
 
 @dataclass(frozen=True, kw_only=True)
 class Statics:

@@ -1,69 +1,65 @@
 """task = inverse with inverse.estimate: parameters from observed equilibria."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from voile.errors import InputError, on_root
+from voile.inverse.estimate import Estimate, Estimation
+from voile.inverse.observation import Observation, UnknownRest
 from voile.mesh import METRES, read_rest, write_obj
-from voile.results import ResultWriter
+from voile.problem.shell import Shell
 from voile.scene import read_scene, unsupported
-from voile.tasks.common import rows, summarise, versions
-from voile.tasks.progress import Progress
-from voile.wiring import build_model, static_mesh
+from voile.solver.path import Path as LoadPath
+from voile.solver.sewing import sew
+from voile.tasks.run import Run, rows
+from voile.wiring import build_model
 
 FABRIC = "model", "bending", "material", "young", "poisson", "thickness", "density"
 
 
-def run_estimation(scene, model, folder: Path, comm, progress: Progress, began: float) -> str:
-    """As `run_statics` for the parameters of a shell, from the scene's observation and those of inverse.also."""
-    from voile.inverse.estimate import Estimation
-    from voile.inverse.observation import UnknownRest
-    from voile.problem.discrete import Problem
-    from voile.solver.path import Path as LoadPath
-    from voile.solver.sewing import sew
-
+def estimate(job: Run) -> str:
+    """As a task, for the parameters of a shell, from the scene's observation and those of inverse.also."""
+    scene, model, comm = job.scene, job.model, job.comm
     found = on_root(comm, lambda: _further(scene, model))
     others = found or [None] * len(scene.inverse.also)
     shell, unknown, observations = None, None, []
     if scene.shell.rest is None:
-        shell = sew(model.shell if model else None, comm)
-        unknown = UnknownRest(Problem(shell, comm), shell)
+        shell = job.sewn()
+        unknown = UnknownRest(job.problem(shell), shell)
     else:
         others = [(scene, model), *others] if model else [None, *others]
     for other in others:
-        sewn, observation = _observation(other, comm)
+        sewn, observation = _observation(other, job)
         observations.append(observation)
         shell = shell or sewn
-    for each in (unknown.observation, *observations) if unknown else observations:
-        each.problem.monitor = progress.iteration
     result = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown).solve(
-        progress.estimate
+        job.progress.estimate
     )
-    seen = unknown.observation if unknown else observations[0]
-    state = seen.problem.create_vector() if unknown else result.states[0]
+    problem = (unknown.observation if unknown else observations[0]).problem
+    state = problem.create_vector() if unknown else result.states[0]
     if shell is not None and result.rest is not None:
         shell = replace(shell, rest_points=result.rest)
-        write_obj(folder / "rest.obj", result.rest, shell.triangles, comment=f"{METRES}\nrest shape")
-    mesh = static_mesh(model, shell, seen.problem.directors) if shell is not None else None
-    with ResultWriter(
-        folder / "result.vtkhdf", comm, mesh=mesh, scene_text=scene.text, versions=versions()
-    ) as writer:
-        writer.write_step(1.0, scalars={"misfit": result.misfit}, **rows(seen.problem, state))
-    report = {
+        write_obj(job.folder / "rest.obj", result.rest, shell.triangles, comment=f"{METRES}\nrest shape")
+    with job.results(job.mesh(shell, problem.directors)) as writer:
+        writer.write_step(1.0, scalars={"misfit": result.misfit}, **rows(problem, state))
+    for name, value in result.values.items():
+        job.progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
+    stable = all(observation.stable for observation in observations)
+    path = LoadPath(state, converged=True, reason="estimate settled", stable=stable)
+    job.summarise(problem, path, inverse=_figures(result, len(scene.inverse.also) + 1))
+    return ""
+
+
+def _figures(result: Estimate, observations: int) -> dict:
+    """What the summary tells of an estimation."""
+    return {
         "estimate": {
             name: {"value": value, "deviation": result.deviations[name]}
             for name, value in result.values.items()
         },
         "misfit": result.misfit,
-        "observations": len(scene.inverse.also) + 1,
+        "observations": observations,
         "forward_solves": result.forward_solves,
     }
-    for name, value in result.values.items():
-        progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
-    stable = all(observation.stable for observation in observations)
-    path = LoadPath(state, converged=True, reason="estimate settled", stable=stable)
-    summarise(scene, model, seen.problem, path, folder, dict(seen.problem.seconds), began, inverse=report)
-    return ""
 
 
 def _further(scene, model) -> list[tuple]:
@@ -123,15 +119,12 @@ def _check_start(scene) -> None:
             )
 
 
-def _observation(other: tuple | None, comm):
+def _observation(other: tuple | None, job: Run) -> tuple[Shell | None, Observation]:
     """A scene's sewn shell (rank 0's) and what was observed of it; other: scene and model, on rank 0."""
-    from voile.inverse.observation import Observation
-    from voile.problem.discrete import Problem
-    from voile.solver.sewing import sew
-
+    comm = job.comm
     observed, steps, obstacles, offset = comm.bcast(on_root(comm, lambda: _seen(*other) if other else None))
     shell = sew(other[1].shell if other else None, comm)
-    problem = Problem(shell, comm)
+    problem = job.problem(shell)
     local = None if observed is None else observed[problem.part.vertex]
     return shell, Observation(problem, local, obstacles, offset, steps)
 

@@ -1,0 +1,213 @@
+"""Rest shapes and flat panels of task = inverse: found, and written."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from voile.errors import on_root
+from voile.inverse.flatten import FlatPanels
+from voile.inverse.pattern import write_rest_obj
+from voile.inverse.result import InverseResult
+from voile.inverse.solve import InverseOptions, solve_inverse, solve_panels
+from voile.mesh import METRES, write_obj
+from voile.problem.constraints import build_constraints
+from voile.problem.partition import gathered
+from voile.problem.shell import Shell
+from voile.tasks.patterns import (
+    cut_apart,
+    draw,
+    first_copies,
+    lay_flat,
+    moved,
+    pattern_of_surface,
+    write_pattern_files,
+)
+from voile.tasks.run import Run, rows
+
+Found = tuple[InverseResult, FlatPanels | None, dict | None]
+
+
+def find_surface(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
+    """The result, None, and the pattern's figures of a rest surface, whose files are written before its proof: a long
+    simulation may be stopped."""
+    problem, figures = job.problem(shell), None
+
+    def write(z) -> None:
+        nonlocal figures
+        rest = gathered(problem, problem.positions(problem.create_vector()) + problem.motion(z))
+        figures = on_root(job.comm, lambda: _write_surface(job, shell, rest))
+
+    result = solve_inverse(
+        problem,
+        shell,
+        *job.bodies(),
+        options,
+        job.progress.fraction,
+        job.progress.optimisation,
+        _borders(job.model),
+        _guess(job),
+        job.progress.nearest,
+        job.layers(shell),
+        write,
+    )
+    return result, None, figures
+
+
+def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
+    """As `find_surface`, of flat panels, the second value (rank 0)."""
+    comm = job.comm
+    flat, cut = on_root(comm, lambda: _panels(job, shell)) or (None, None)
+    problem, figures = job.problem(cut), None
+    target = gathered(problem, problem.positions(problem.create_vector()))
+
+    def write(coordinates: np.ndarray) -> None:
+        nonlocal flat, figures
+        last = flat
+        flat = on_root(comm, lambda: last and moved(last, coordinates))
+        figures = on_root(comm, lambda: _write_panels(job, shell, flat, target))
+
+    result, _ = solve_panels(
+        problem,
+        cut,
+        flat,
+        *job.bodies(),
+        options,
+        job.progress.fraction,
+        job.progress.optimisation,
+        job.layers(cut),
+        write,
+    )
+    return result, flat, figures
+
+
+def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
+    """The target laid flat as panels, and the shell that they are."""
+    assert job.model and shell
+    flat = lay_flat(job.model, shell, _sewn(shell), apart=True)
+    return flat, cut_apart(shell, flat)
+
+
+def _sewn(shell) -> np.ndarray:
+    """(n, 3) the start shape with its seams closed."""
+    return shell.points + build_constraints(shell, False).gap[: shell.points.size].reshape(-1, 3)
+
+
+def _guess(job: Run) -> np.ndarray | None:
+    """(n, 3) the rest shape that the scene gives as first guess, None without."""
+    return None if job.model is None or job.scene.shell.rest is None else job.model.rest.points
+
+
+def _borders(model) -> np.ndarray | None:
+    """Vertices where groups meet and on the scene's seams, which may have an angle defect."""
+    if model is None:
+        return None
+    surface = model.surface
+    lowest, highest = np.full(len(surface.points), np.inf), np.full(len(surface.points), -np.inf)
+    for corner in surface.triangles.T:
+        np.minimum.at(lowest, corner, surface.group)
+        np.maximum.at(highest, corner, surface.group)
+    return np.union1d(np.flatnonzero(lowest < highest), model.cuts)
+
+
+def _standing(flat) -> np.ndarray | None:
+    """(p,) the surface's vertex that a panel vertex stands for, -1 for further copies; None without panels."""
+    if flat is None:
+        return None
+    vertex = np.full(len(flat.panels.vertex), -1)
+    first = first_copies(flat)
+    vertex[first] = np.arange(len(first))
+    return vertex
+
+
+def _at_end(problem, simulation) -> dict:
+    """As `rows`, of a simulation's end."""
+    problem.contact = simulation.contact
+    try:
+        return rows(problem, simulation.path.state)
+    finally:
+        problem.contact = None
+
+
+def _kept(values: dict, keep: np.ndarray | None) -> dict:
+    """A step's rows for the surface's own vertices; panels have no director angles to store."""
+    if keep is None:
+        return values
+    stands = keep[values["point_index"]] >= 0
+    kept = {"points": values["points"][stands], "point_index": keep[values["point_index"]][stands]}
+    if "point_data" in values:
+        kept["point_data"] = {name: rows[stands] for name, rows in values["point_data"].items()}
+    if "placements" in values:
+        kept["placements"] = values["placements"]
+    return kept
+
+
+def _title(scene) -> str:
+    return f"rest shape of {scene.scene.name or scene.path}"
+
+
+def _up(shell) -> np.ndarray | None:
+    return -shell.gravity if shell.gravity.any() else None
+
+
+def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: np.ndarray) -> dict:
+    """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
+    assert shell is not None
+    pattern = draw(flat, job.scene.inverse.seam_allowance, _up(shell))
+    write_rest_obj(
+        job.folder / "rest.obj", flat.panels, pattern, target[first_copies(flat)], _title(job.scene)
+    )
+    return write_pattern_files(job.folder, pattern)
+
+
+def _write_surface(job: Run, shell: Shell | None, rest: np.ndarray) -> dict:
+    """rest.obj of a rest shape (n, 3) m, its flat pattern as texture coordinates, and the pattern of least distortion;
+    the pattern's figures."""
+    assert job.model and shell
+    s = job.model.surface
+    laid = replace(shell, rest_points=rest)
+    spec = job.scene.inverse
+    figures, flat, corners = pattern_of_surface(
+        job.folder, job.model, laid, rest, spec.seam_allowance, _up(shell), picture=bool(spec.developable)
+    )
+    write_obj(
+        job.folder / "rest.obj", rest, shell.triangles, flat, corners, groups=(s.group, s.group_names),
+        stitches=s.stitches, comment=f"{METRES}\n{_title(job.scene)}",
+    )  # fmt: skip
+    return figures
+
+
+def write_result(job: Run, shell: Shell | None, result: InverseResult, flat: FlatPanels | None) -> None:
+    """result.vtkhdf: the target, then the simulation from it, with the rest shape found; flat: panels, where they were
+    asked for."""
+    problem, target, comm = result.target.problem, result.target, job.comm
+    keep = comm.bcast(_standing(flat))
+    rest = gathered(problem, target.x + problem.motion(result.rest))
+    mode = gathered(problem, problem.motion(result.mode))
+    if shell is not None:
+        if result.trade:
+            from voile.post.trade import draw_trade
+
+            draw_trade(job.folder / "developability.png", result.trade)
+        if flat:
+            mode = mode[first_copies(flat)]
+            flat_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
+            shell = replace(shell, rest_points=flat_points, rest_triangles=flat.panels.corners, flat=True)
+        else:
+            shell = replace(shell, rest_points=rest)
+    directors = problem.directors and not flat
+    with job.results(job.mesh(shell, directors, mode=mode)) as writer:
+        at_target = rows(problem, target.rest.state(result.rest))
+        if target.touches:
+            own = problem.part.owned_vertices
+            at_target["point_data"] = {name: values[own] for name, values in target.fields().items()}
+            at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])
+        residual = result.residual if result.exact else math.nan
+        scalars = {"residual": residual, "converged": float(result.exact)}
+        writer.write_step(0.0, scalars=scalars, **_kept(at_target, keep))
+        for step, simulation in ((0.5, result.held), (1.0, result.simulation)):
+            if simulation:
+                path = simulation.path
+                residual = path.steps[-1].residual if path.steps else math.nan
+                scalars = {"residual": residual, "converged": float(path.converged)}
+                writer.write_step(step, scalars=scalars, **_kept(_at_end(problem, simulation), keep))

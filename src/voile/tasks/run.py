@@ -1,0 +1,219 @@
+"""What every task shares: the scene's problem, its result file and its summary.
+
+A task is a module beside this one, named as in scenes (scene.task), with `run(job: Run) -> str`: it solves, writes and
+gives the reason why it did not converge, or nothing.
+"""
+
+import math
+import platform
+import resource
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import voile
+from voile.contact.candidates import Layers
+from voile.contact.obstacles import Obstacle
+from voile.explain import modelled
+from voile.problem.contact import attach, contact_fields, shell_layers
+from voile.problem.discrete import Problem
+from voile.problem.shell import Shell
+from voile.results import ResultWriter, StaticMesh, write_summary
+from voile.scene import Scene
+from voile.solver.path import LoadStep
+from voile.solver.path import Path as LoadPath
+from voile.solver.sewing import sew
+from voile.tasks.progress import Progress
+from voile.wiring import Model, static_mesh
+
+NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
+
+
+@dataclass
+class Run:
+    """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start."""
+
+    scene: Scene
+    model: Model | None
+    folder: Path
+    comm: MPI.Comm
+    progress: Progress
+    began: float
+    writing: float = 0.0  # s
+
+    # ---- from the scene to the problem ----
+
+    def sewn(self, shell: Shell | None = None) -> Shell | None:
+        """A shell (rank 0's; by default the model's) with its seams closed."""
+        return sew(shell or (self.model.shell if self.model else None), self.comm)
+
+    def problem(self, shell: Shell | None) -> Problem:
+        """The problem of a sewn shell, whose iterations the progress tells."""
+        problem = Problem(shell, self.comm)
+        problem.monitor = self.progress.iteration
+        return problem
+
+    def bodies(self) -> tuple[list[Obstacle], float]:
+        """The obstacles, and how far from the mid-surface they touch (m)."""
+        return self.comm.bcast((self.model.obstacles, self.model.offset) if self.model else None)
+
+    def layers(self, shell: Shell | None) -> Layers | None:
+        """The layers of a sewn shell that are in each other's way; None where the scene lets them pass. Adds a note on
+        those that are not kept apart."""
+        contact, layers = self.scene.contact, None
+        if not contact.self_contact:
+            return None
+        if self.model and shell is not None:
+            layers = shell_layers(shell, self.model.offset, contact.self_friction)
+            if layers.caught:
+                self.note(
+                    f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a "
+                    "layer caught between: they are not kept apart"
+                )
+        return self.comm.bcast(layers)
+
+    def prepare(self) -> tuple[Shell | None, Problem]:
+        """The scene's shell, sewn, and its problem with all that is in its way."""
+        shell = self.sewn()
+        problem = self.problem(shell)
+        attach(problem, *self.bodies(), self.layers(shell))
+        return shell, problem
+
+    def note(self, text: str) -> None:
+        """Something a user should know, for the summary."""
+        if self.model:
+            self.model.notes.append(text)
+
+    # ---- results ----
+
+    def mesh(self, shell: Shell | None, directors: bool, **point_data: numpy.ndarray) -> StaticMesh | None:
+        """What the result file holds once, on rank 0."""
+        if not (self.model and shell):
+            return None
+        mesh = static_mesh(self.model, shell, directors)
+        return replace(mesh, point_data={**mesh.point_data, **point_data})
+
+    @contextmanager
+    def results(self, mesh: StaticMesh | None) -> Iterator[ResultWriter]:
+        """The result file."""
+        with ResultWriter(
+            self.folder / "result.vtkhdf",
+            self.comm,
+            mesh=mesh,
+            scene_text=self.scene.text,
+            versions=versions(),
+        ) as writer:
+            yield writer
+
+    def summarise(
+        self, problem: Problem, path: LoadPath, seconds: dict[str, float] | None = None, **more: Any
+    ) -> None:
+        """summary.json of a run whose last simulation is `path`. seconds: what took how long beside; more: further
+        figures, and others in place of the path's own."""
+        if self.model is None:
+            return
+        last = path.steps[-1] if path.steps else None
+        seconds = {**problem.seconds, **path.seconds, "input_output": self.writing, **(seconds or {})}
+        summary = {
+            "converged": path.converged,
+            "reason": path.reason,
+            **self._about(),
+            "dofs": problem.unknowns,
+            "steps": len(path.steps),
+            "load_factor": last.factor if last else 0.0,
+            "newton_iterations": path.newton_iterations,
+        "linear_solves": path.counts.solves,
+        "factorisations": path.counts.factorisations,
+            "residual_norm": last.residual if last else None,
+            "residual_tolerance": last.tolerance if last else None,
+            "energy": last.energies if last else {},
+            "contact": (last.contact if last else None) or NO_CONTACT,
+            "method": [step.method for step in path.steps],
+            "stable": path.stable,
+            "smallest_eigenvalue": path.smallest_eigenvalue,
+            "wall_time_s": {**seconds, "total": time.perf_counter() - self.began},
+            "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+            "ranks": problem.comm.size,
+            **more,
+        }
+        value = summary["smallest_eigenvalue"]
+        summary["smallest_eigenvalue"] = None if value is None or math.isnan(value) else value
+        write_summary(self.folder / "summary.json", summary)
+
+    def refuse(self, reason: str) -> None:
+        """summary.json of a run that ended before anything was in equilibrium."""
+        if self.model:
+            write_summary(
+                self.folder / "summary.json", {"converged": False, "reason": reason, **self._about()}
+            )
+
+    def _about(self) -> dict:
+        """What every summary tells of its run."""
+        assert self.model is not None
+        return {
+            "task": self.scene.scene.task,
+            "name": self.scene.scene.name,
+            "versions": versions(),
+            "modelled": [name for name, keep, _ in modelled(self.scene, self.model) if keep],
+            "notes": self.model.notes,
+        }
+
+
+class Steps:
+    """Takes the steps of a path as they come: tells the progress and writes every so many, and the last, at `end`."""
+
+    def __init__(self, run: Run, problem: Problem, writer: ResultWriter, end: float = 1.0):
+        self.run, self.problem, self.writer, self.end, self.reached = run, problem, writer, end, 0
+
+    def __call__(self, step: LoadStep, y: PETSc.Vec) -> None:
+        self.run.progress.step(step)
+        self.reached += 1
+        if step.factor >= self.end or self.reached % self.run.scene.output.every == 0:
+            self._write(step.factor, step.residual, 1.0, y)
+
+    def finish(self, path: LoadPath) -> None:
+        """Writes the last good state of a path that did not reach its end."""
+        if path.converged:
+            return
+        if not self.reached:
+            self._write(0.0, math.inf, 0.0, path.state)
+        elif self.reached % self.run.scene.output.every:
+            last = path.steps[-1]
+            self._write(last.factor, last.residual, 1.0, path.state)
+
+    def _write(self, at: float, residual: float, converged: float, y: PETSc.Vec) -> None:
+        start = time.perf_counter()
+        scalars = {"residual": residual, "converged": converged}
+        self.writer.write_step(at, scalars=scalars, **rows(self.problem, y))
+        self.run.writing += time.perf_counter() - start
+
+
+def rows(problem: Problem, y: PETSc.Vec) -> dict:
+    """What the result file takes of a state: this rank's rows and the obstacles' placements."""
+    part, (u, phi) = problem.part, problem.local(y)
+    own = part.owned_vertices
+    values = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
+    if problem.directors:
+        values |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
+    if problem.contact:
+        values["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
+        bodies = problem.contact.obstacles
+        values["placements"] = numpy.array([body.motion.matrix(problem.load_factor) for body in bodies])
+    return values
+
+
+def versions() -> dict[str, str]:
+    """What a result is computed with."""
+    return {
+        "voile": voile.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "numpy": numpy.__version__,
+        "python": platform.python_version(),
+    }
