@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile import blas
 from voile.contact.field import MeshBody
 from voile.elastic import model_name
 from voile.problem.shell import Shell
@@ -179,6 +180,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"model     {model_name(scene.shell.model, scene.shell.bending, scene.shell.material)}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model)}; PETSc options after --",
+        f"blas      {blas.used()}",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
         f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
         *_obstacles(model),

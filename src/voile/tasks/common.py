@@ -3,6 +3,7 @@
 import platform
 import resource
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
@@ -96,12 +97,16 @@ def summarise_refusal(scene, model, folder: Path, reason: str) -> None:
 
 def _about(scene, model) -> dict:
     """What every summary tells of its run."""
+    from voile import blas
     from voile.explain import modelled
+    from voile.petsc_options import unused_options
 
     return {
         "task": scene.scene.task,
         "name": scene.scene.name,
         "versions": versions(),
+        "blas": asdict(blas.used()),
+        "unused_options": unused_options(),
         "modelled": [name for name, keep, _ in modelled(scene, model) if keep],
         "notes": model.notes,
     }
