@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import voile  # noqa: F401  # chooses the BLAS before a test imports numpy
+
 # What an MPI process tells its children: with it, an mpirun started from here takes itself for one of the
 # parent's ranks and fails without a message (a test that imports mpi4py makes pytest such a process).
 MPI_PREFIXES = ("OMPI_", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")

@@ -13,6 +13,8 @@ MAX_LINES = 400
 ALLOWED = {
     "errors": set(),
     "keys": set(),
+    "blas": {"_petsc"},
+    "petsc_options": {"_petsc"},
     "mesh": set(),
     "elastic": {"_kernels", "mesh"},
     "contact": {"_kernels", "_friction", "keys", "mesh"},
@@ -25,7 +27,7 @@ ALLOWED = {
 }
 # The command line and its helpers, the only ones that see everything.
 TOP = {"cli", "explain", "tasks", "wiring"}
-PETSC = {"problem", "solver", "inverse"} | TOP
+PETSC = {"problem", "solver", "inverse", "petsc_options"} | TOP
 
 
 def imports(tree: ast.Module, package: str) -> set[str]:

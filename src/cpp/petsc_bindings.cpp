@@ -1,5 +1,5 @@
-// Python module voile._petsc: the value arrays of a PETSc AIJ matrix, so that assembly writes into them
-// directly. petsc4py reaches them only by copies.
+// Python module voile._petsc, what petsc4py lacks: the value arrays of an AIJ matrix, so that assembly writes
+// into them directly instead of copies, and the options that nothing used.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <petscmat.h>
@@ -52,7 +52,19 @@ static nb::tuple aij_arrays(uintptr_t handle) {
                         view(const_cast<int32_t*>(columns), (size_t)count));
 }
 
+// (name, value) of the options in PETSc's database that nothing has asked for; "" for none.
+static nb::list unused_options() {
+  PetscInt count;
+  char **names, **values;
+  check(PetscOptionsLeftGet(nullptr, &count, &names, &values));
+  nb::list found;
+  for (PetscInt i = 0; i < count; ++i) found.append(nb::make_tuple(names[i], values[i] ? values[i] : ""));
+  check(PetscOptionsLeftRestore(nullptr, &count, &names, &values));
+  return found;
+}
+
 NB_MODULE(_petsc, m) {
-  m.doc() = "Direct access to the arrays of PETSc matrices.";
+  m.doc() = "Arrays of PETSc matrices, unused PETSc options.";
   m.def("aij_arrays", &aij_arrays);
+  m.def("unused_options", &unused_options);
 }

@@ -1,9 +1,7 @@
 """Equilibria and inverse design of thin elastic shells with contact and friction, on PETSc."""
 
-import os
+from voile import blas
 
-# One BLAS thread per rank: the ranks are the parallelism, and MUMPS's small dense blocks only lose by more
-# threads. Set here because the BLAS reads it when numpy loads it.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+blas.prepare()  # before numpy loads it
 
 __version__ = "0.1.0"

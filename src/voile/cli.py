@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread per rank; before numpy loads its BLAS
 if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.environ):
     # Without a launcher Open MPI need not start a daemon and look for networks, which takes 0.3 s.
     os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
@@ -151,10 +150,8 @@ def _read(args: argparse.Namespace):
 
 def _explain(args: argparse.Namespace) -> None:
     from voile.explain import explain
-    from voile.wiring import build_model
 
-    scene = _read(args)
-    print(explain(scene, build_model(scene)))
+    print(explain(*_load(args)))
 
 
 # ---- friction ----
@@ -197,9 +194,10 @@ def _friction(args: argparse.Namespace) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     began = time.perf_counter()
-    import petsc4py
+    from voile import blas
+    from voile.petsc_options import start_petsc, unused_options
 
-    petsc4py.init(["voile", *args.petsc])
+    start_petsc(args.petsc)
     from mpi4py import MPI
 
     from voile.results import prepare_output
@@ -211,6 +209,8 @@ def _run(args: argparse.Namespace) -> int:
     folder = args.output or Path(f"{args.scene.stem}-result")
     prepare_output(folder, comm)
     progress = Progress(comm)
+    if blas.used().note:
+        progress.line(f"note: {blas.used().note}")
     job = Run(scene, model, folder, comm, progress, began)
     task = import_module(f"voile.tasks.{scene.scene.task}")
     try:
@@ -219,6 +219,9 @@ def _run(args: argparse.Namespace) -> int:
     except (NotConverged, KeyboardInterrupt) as reason:
         failure = str(reason) or "stopped by a signal"
         job.refuse(failure)
+    unused = unused_options()
+    if unused:
+        progress.line(f"PETSc options that nothing used: {', '.join(unused)}")
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
@@ -247,10 +250,16 @@ def _stoppable() -> Iterator[None]:
 
 
 def _load(args: argparse.Namespace):
+    from voile import blas
+    from voile.petsc_options import check_words
     from voile.wiring import build_model
 
+    check_words(args.petsc)
     scene = _read(args)
-    return scene, build_model(scene)
+    model = build_model(scene)
+    if blas.used().note:
+        model.notes.append(blas.used().note)
+    return scene, model
 
 
 if __name__ == "__main__":

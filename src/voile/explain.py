@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile import blas
 from voile.elastic import MODELS, has_directors
 from voile.problem.shell import Shell
 from voile.scene import Scene
@@ -174,6 +175,7 @@ def explain(scene: Scene, model: Model) -> str:
         f"model     {shell.model}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model)}; PETSc options after --",
+        f"blas      {blas.used()}",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
         f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
         *_obstacles(model),

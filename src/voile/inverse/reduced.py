@@ -13,7 +13,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
-from voile.solver.linear import factorisation_error, negative_pivots
 
 from voile.contact.history import State
 from voile.errors import NotConverged
@@ -22,6 +21,7 @@ from voile.inverse.objective import Design, Objective
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.rest import PanelRest
+from voile.solver.linear import factorisation_error, negative_pivots
 
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
 

@@ -10,7 +10,7 @@ import resource
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import voile
+from voile import blas
 from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.explain import modelled
+from voile.petsc_options import unused_options
 from voile.problem.contact import attach, contact_fields, shell_layers
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
@@ -129,8 +131,8 @@ class Run:
             "steps": len(path.steps),
             "load_factor": last.factor if last else 0.0,
             "newton_iterations": path.newton_iterations,
-        "linear_solves": path.counts.solves,
-        "factorisations": path.counts.factorisations,
+            "linear_solves": path.counts.solves,
+            "factorisations": path.counts.factorisations,
             "residual_norm": last.residual if last else None,
             "residual_tolerance": last.tolerance if last else None,
             "energy": last.energies if last else {},
@@ -161,6 +163,8 @@ class Run:
             "task": self.scene.scene.task,
             "name": self.scene.scene.name,
             "versions": versions(),
+            "blas": asdict(blas.used()),
+            "unused_options": unused_options(),
             "modelled": [name for name, keep, _ in modelled(self.scene, self.model) if keep],
             "notes": self.model.notes,
         }

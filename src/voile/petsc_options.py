@@ -1,0 +1,70 @@
+"""PETSc's options as a user gives them (after `--`, in PETSC_OPTIONS or ~/.petscrc), and those that nothing used."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from voile.errors import InputError
+
+# What PETSc itself asks for only when it ends.
+READ_LAST = {
+    "citations",
+    "get_total_flops",
+    "log",
+    "log_all",
+    "log_mpe",
+    "malloc_dump",
+    "malloc_view",
+    "memory_view",
+    "mpidump",
+    "nox",
+    "nox_warning",
+    "objects_dump",
+    "options_left",
+    "options_view",
+}
+_given: set[str] = set()
+
+
+def start_petsc(arguments: Sequence[str]) -> None:
+    """Starts PETSc with a user's options."""
+    import petsc4py
+
+    petsc4py.init(["voile", *arguments])
+    from petsc4py import PETSc
+
+    options = PETSc.Options()
+    _given.update(options.getAll())  # from here on the solvers add defaults of their own
+    if "options_left" not in _given:
+        options.setValue("options_left", "no")  # newer PETSc would say at its end what `unused_options` says
+
+
+def check_words(arguments: Sequence[str]) -> None:
+    """Raises InputError for a word that is neither an option nor the value of one: PETSc would pass over it."""
+    for before, word in pairwise(("", *arguments)):
+        if not _is_option(word) and not _is_option(before):
+            raise InputError(
+                f"PETSc options after --: {word!r} is neither an option (-name) nor the value of one"
+            )
+
+
+def unused_options() -> list[str]:
+    """The user's options, "-name value", that nothing has asked for so far, neither by their own name nor by that of a
+    method that they were handed on to (solver.linear.hand_on)."""
+    from petsc4py import PETSc
+
+    from voile._petsc import unused_options as left
+
+    unused = dict(left())
+    used = PETSc.Options().getAll().keys() - unused.keys()
+    own = {
+        name: value
+        for name, value in unused.items()
+        if name in _given - READ_LAST and not any(other.endswith(f"_{name}") for other in used)
+    }
+    return [f"-{name} {value}".rstrip() for name, value in own.items()]
+
+
+def _is_option(word: str) -> bool:
+    """As PETSc tells options from values, which may be negative numbers."""
+    name = word.removeprefix("-").removeprefix("-")
+    return word.startswith("-") and name[:1].isalpha()

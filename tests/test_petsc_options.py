@@ -1,0 +1,79 @@
+"""PETSc's options from the command line and the environment: what acts, what is refused, what nothing used."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from test_cli import SCENE, cells
+
+from voile.errors import InputError
+from voile.petsc_options import check_words
+
+
+@pytest.mark.parametrize(
+    ("words", "wrong"),
+    [
+        ([], None),
+        (["-snes_monitor"], None),
+        (["-snes_atol", "1e-9", "--ksp_view", "-pc_type", "cholesky"], None),
+        (["-shift", "-3.5", "-last", "-1"], None),  # negative values
+        (["snes_monitor"], "snes_monitor"),
+        (["-snes_atol", "1e-9", "1e-8"], "1e-8"),
+        (["-3"], "-3"),
+    ],
+)
+def test_words_that_petsc_would_pass_over_are_refused(words, wrong):
+    if wrong is None:
+        check_words(words)
+        return
+    with pytest.raises(InputError, match=f"PETSc options after --: '{wrong}' is neither"):
+        check_words(words)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """run(words, PETSC_OPTIONS): runs a small scene with PETSc options; the completed process and the summary."""
+    (tmp_path / "mesh.obj").write_text(cells())
+    (tmp_path / "scene.toml").write_text(SCENE)
+
+    def call(*words: str, options: str = "") -> tuple[subprocess.CompletedProcess[str], dict]:
+        command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out", "--", *words]
+        env = {**os.environ, "PETSC_OPTIONS": options}
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=100)
+        summary = tmp_path / "out" / "summary.json"
+        return done, json.loads(summary.read_text()) if summary.exists() else {}
+
+    return call
+
+
+def test_options_that_nothing_used_are_named_once(run):
+    done, summary = run("-snes_typ", "newtonls", "-mat_mumps_icntl_14", "60", options="-ksp_rtoll -1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("nothing used") == 1
+    assert "\nPETSc options that nothing used: -ksp_rtoll -1, -snes_typ newtonls\n" in done.stdout
+    assert summary["unused_options"] == ["-ksp_rtoll -1", "-snes_typ newtonls"]
+
+
+def test_nothing_is_said_where_all_options_acted(run):
+    # Of the last three PETSc itself asks for some only when it ends.
+    done, summary = run(
+        "-mat_mumps_icntl_14", "60", "-log_view", ":/dev/null", "-malloc_view", "-options_left"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "nothing used" not in done.stdout and summary["unused_options"] == []
+
+
+def test_without_options_the_programs_own_defaults_are_not_named(run):
+    done, summary = run()
+    assert done.returncode == 0, done.stderr
+    assert "PETSc options" not in done.stdout + done.stderr and summary["unused_options"] == []
+
+
+def test_a_stray_word_is_bad_input(run):
+    done, summary = run("snes_monitor")
+    assert done.returncode == 2 and not summary
+    assert done.stderr == (
+        "voile: PETSc options after --: 'snes_monitor' is neither an option (-name) nor the value of one\n"
+    )
