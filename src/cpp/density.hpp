@@ -61,23 +61,6 @@ inline Dual<Dual<Real, N>, M> wave2(const Real& v, const Real& slope, int i) {
   return r;
 }
 
-// The tensile part of the membrane stress T = sum_i tension_i e_i (x) e_i of a triangle with squared edges l,
-// as tensions of its edges again: T without its negative principal stress. By tr T = sum tension_i l_i, det T
-// = (2 area)^2 (t_0 t_1 + t_1 t_2 + t_2 t_0), and the unit tensor's tensions -e_j . e_k / (2 area)^2.
-VOILE_INLINE void keep_tensile(const Real l[3], const Real& twice_area, Real tension[3]) {
-  const Real square = twice_area * twice_area;
-  Real half_trace = Real(0.5) * (tension[0] * l[0] + tension[1] * l[1] + tension[2] * l[2]);
-  Real det = square * (tension[0] * tension[1] + tension[1] * tension[2] + tension[2] * tension[0]);
-  Real radius = sqrt(max(half_trace * half_trace - det, Real(0.0)));
-  Real high = half_trace + radius, low = half_trace - radius;
-  Real share = select(radius.p > 0.0, Real(0.5) * high / max(radius, Real(1e-300)), Real(0.0));
-  for (int i = 0; i < 3; ++i) {
-    Real unit = Real(0.5) * (l[(i + 1) % 3] + l[(i + 2) % 3] - l[i]) / square;
-    Real uniaxial = share * (tension[i] - low * unit);
-    tension[i] = select(low.p >= 0.0, tension[i], select(high.p <= 0.0, Real(0.0), uniaxial));
-  }
-}
-
 // ---- any model by automatic differentiation ----
 
 // A number as a constant of the type T.

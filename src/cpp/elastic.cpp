@@ -196,7 +196,7 @@ class ElasticModel final : public Elastic {
       for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
       if (safe) {
         project_positive<Model::bends ? 6 : 3>(jet.h);
-        keep_tensile(w.q.l, w.t.twice_area, tension);
+        for (auto& t : tension) t = max(t, Real(0.0));
       }
       if constexpr (Model::bends) {
         if (!safe) {

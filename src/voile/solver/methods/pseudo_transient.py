@@ -82,8 +82,9 @@ class PseudoTransient:
     def _follow(self, problem: Problem, y: PETSc.Vec, tolerance: float, saddle: State | None) -> Outcome:
         options, slow, contact = self.options, slow_rate(problem), contact_of(problem)
         loads, start = max(problem.load_norm(y), tolerance / 1e-8), problem.save(y)
-        fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
-        rate, kicks, peak = (options.fresh_rate if fresh else options.first_rate) * slow, 0, np.inf
+        rate, kicks, peak = options.first_rate * slow, 0, np.inf
+        if self._fresh(problem):
+            rate = options.fresh_rate * slow
         slips = not contact.moves  # what sticks has gone along with moving obstacles
         for _ in range(options.steps):
             if saddle:
@@ -114,7 +115,7 @@ class PseudoTransient:
                 continue
             inertia = step.inertia_norm(y)
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
-            rate = self._next(rate, slow)
+            rate = rate if self._fresh(problem) else self._next(rate, slow)
             if inertia > min(options.near * loads, 0.3 * peak):
                 continue
             peak = inertia
@@ -127,6 +128,10 @@ class PseudoTransient:
 
     def _failed(self, reason: str) -> Outcome:
         return Outcome(False, self.name, reason)
+
+    def _fresh(self, problem: Problem) -> bool:
+        """Whether no contact bears yet."""
+        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).state.normal))
 
     def _next(self, rate: float, slow: float) -> float:
         """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
@@ -146,7 +151,7 @@ class PseudoTransient:
         """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
         many iterations); None where it failed."""
         options, contact, home = self.options, contact_of(problem), y.copy()
-        fresh = problem.everywhere(not any(normal.any() for normal in contact.state.normal))
+        fresh = self._fresh(problem)
         contact.freeze(problem.positions(y), problem.load_factor)
         f = y.duplicate()
         problem.residual(y, f)
