@@ -4,7 +4,8 @@ The matrix is the exact Hessian where the inertia of its factorisation says that
 kernels' positive semidefinite one; where steps stay short, a multiple of the mass is added (one step of
 pseudo-transient continuation), which fades as the steps recover. The line search demands sufficient decrease of the
 potential; where round-off hides the decrease, or the loads have no potential, it looks at the slope instead (Hager &
-Zhang 2005, approximate Wolfe conditions). SNES prefix descent_.
+Zhang 2005, approximate Wolfe conditions). SNES prefix descent_, in pseudo-time
+transient_.
 """
 
 from collections.abc import Callable
@@ -26,14 +27,14 @@ _REASON = PETSc.SNES.ConvergedReason
 class Options:
     """iterations: a buckling cloth takes up to 300 from a flat start. sufficient: share of the predicted decrease
     that a step must reach (Armijo; Nocedal & Wright 2006). shortest: relative step length at which the search gives
-    up. patience: steps after which an indefinite exact Hessian is tried again at most; drapes of 32 x 32 cells took
-    343 factorisations with 2, 279 with 8. noise: relative size under which differences of the potential are round-off.
-    mixed_steps: those of a watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds."""
+    up. patience: steps after which an indefinite exact Hessian is tried again at most; near the end it is what
+    converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
+    watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds."""
 
     iterations: int = 500
     sufficient: float = 1e-4
     shortest: float = 1e-10
-    patience: int = 8
+    patience: int = 2
     noise: float = 1e-11
     mixed_steps: int = 5
     shift: float = 0.0
@@ -45,10 +46,10 @@ class Descent:
 
     name = "descent"
 
-    def __init__(self, work: Workspace, options: Options | None = None):
+    def __init__(self, work: Workspace, options: Options | None = None, prefix: str = "descent_"):
         self.work, self.options = work, options or Options()
         self.iteration = Iterate(self)
-        self.nonlinear = Nonlinear(work, "descent_", self.iteration)
+        self.nonlinear = Nonlinear(work, prefix, self.iteration)
         self.settled: Callable[[list[Step]], bool] | None = None  # another test of convergence
         self.stalled = False
         self.negative: int | None = None

@@ -41,7 +41,7 @@ class Options:
 
     steps: int = 300
     first_rate: float = 11.0
-    fresh_rate: float = 150.0
+    fresh_rate: float = 180.0
     fresh: float = 0.01
     last_rate: float = 1e7
     fade: float = 1.0 / 3.0

@@ -92,7 +92,9 @@ class LoadPath:
             else:
                 if control.target == 1.0 and self.asked.stability:
                     done = self._settle(done)
+                cuts = control.cuts  # what follows no branch once will not later on
                 control.done(done.iterations, 0.0, False)
+                control.cuts = cuts
             y.copy(path.state)
             path.steps.append(done)
             if on_step:
