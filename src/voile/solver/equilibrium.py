@@ -31,6 +31,7 @@ from voile.solver.path import StaticsOptions
 ROUGH_PATIENCE = (
     8  # of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8
 )
+WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 
 
@@ -145,7 +146,7 @@ class Sharpened:
         problem.rebase(y)
         outcome = self.method.solve(problem, y, tolerance)
         norm, computed = self.newton.nonlinear.norm, round_off(problem, y)[1]
-        if not self.newton.stalled or computed < tolerance:
+        if not self.newton.stalled or computed < tolerance or norm > WORTH * tolerance:
             return outcome
         reason = (
             f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"

@@ -136,7 +136,7 @@ class LoadPath:
             if not outcome.converged:
                 return None, outcome
             method = method or outcome.method  # the first one found it, later ones only sharpen it
-            if solver.norm <= tolerance(problem, y, self.asked):
+            if outcome.reason or solver.norm <= tolerance(problem, y, self.asked):  # a reason: to round-off
                 break
         else:
             return None, Outcome(False, method, "the tolerance, taken from the state, does not settle")
