@@ -104,7 +104,8 @@ def margin(normal: np.ndarray, tangential: np.ndarray, friction: float | np.ndar
     0 where it slips, as all does that bears without friction."""
     bound, size = friction * normal, np.linalg.norm(tangential, axis=1)
     used = np.divide(size, bound, out=np.ones(len(size)), where=bound > 0.0)
-    return np.where(normal > 0.0, 1.0 - used, 1.0)
+    left = np.maximum(1.0 - used, 0.0)  # what slips meets its bound to round-off only
+    return np.where(normal > 0.0, left, 1.0)
 
 
 def barrier(gap: np.ndarray, thickness: float | np.ndarray) -> np.ndarray:
