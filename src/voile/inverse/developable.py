@@ -23,6 +23,7 @@ from voile.inverse.target import Target
 from voile.problem.partition import gathered
 from voile.problem.rest import RestShape
 from voile.problem.shell import Shell
+from voile.solver.linear import use_lu
 
 FLAT = 1e-10  # rad, largest angle defect of a shape that is taken as developable
 MOST = 400  # Newton iterations of a projection
@@ -175,8 +176,7 @@ class DevelopableRest:
         gram.shift((damping + LEAST_DAMPING) * diagonal.max()[1])
         self._factor = PETSc.PC().create(comm=self.problem.comm)
         self._factor.setOperators(gram)
-        self._factor.setType(PETSc.PC.Type.LU)
-        self._factor.setFactorSolverType("mumps")
+        use_lu(self._factor)
         self._factor.setUp()
         self._made = self._jacobian, gram, self._factor
 

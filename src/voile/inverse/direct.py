@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.scales import force_floor
-from voile.solver.linear import factorisation_error, negative_pivots
+from voile.solver.linear import factorisation_error, negative_pivots, use_lu
 from voile.solver.stability import factored
 
 MOST = 40  # Newton iterations of one step
@@ -78,8 +78,7 @@ class Direct:
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.lu = PETSc.PC().create(comm=self.problem.comm)
         self.lu.setOptionsPrefix("inverse_")
-        self.lu.setType(PETSc.PC.Type.LU)
-        self.lu.setFactorSolverType("mumps")
+        use_lu(self.lu)
         self.lu.setFromOptions()
 
     def follow(

@@ -21,7 +21,7 @@ from voile.inverse.objective import Design, Objective
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.rest import PanelRest
-from voile.solver.linear import factorisation_error, negative_pivots
+from voile.solver.linear import factorisation_error, negative_pivots, use_cholesky, use_lu
 
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
 
@@ -204,7 +204,6 @@ def _factor(comm, symmetric: bool) -> PETSc.PC:
     """LDL^T (its inertia tells a saddle) or, where something slips, LU."""
     pc = PETSc.PC().create(comm=comm)
     pc.setOptionsPrefix("adjoint_")
-    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
-    pc.setFactorSolverType("mumps")
+    (use_cholesky if symmetric else use_lu)(pc)
     pc.setFromOptions()
     return pc

@@ -10,7 +10,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.state import Contact
-from voile.problem.elastic import has_directors, make_kernel
+from voile.elastic import has_directors
+from voile.problem.elastic import make_kernel
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute

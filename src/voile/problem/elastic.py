@@ -25,10 +25,3 @@ def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kerne
     kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
     kernel.set_weights(part.weight)
     return kernel
-
-
-def has_directors(model: str) -> bool:
-    """Whether the model has director angles, one per edge."""
-    corners = np.arange(3, dtype=np.int32)[None]
-    none = np.full((1, 3), -1, dtype=np.int32)
-    return _kernels.Elastic(model, corners, corners, np.ones_like(corners), none, 3, np.eye(3)).directors

@@ -28,9 +28,8 @@ from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.tied import Tied
 from voile.solver.path import StaticsOptions
 
-ROUGH_PATIENCE = (
-    8  # of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8
-)
+# Patience of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8.
+ROUGH_PATIENCE = 8
 WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 

@@ -36,7 +36,8 @@ def contact_tangent(problem: Problem, y: PETSc.Vec, matrix: PETSc.Mat) -> PETSc.
 
 
 def is_stable(work: Workspace, problem: Problem, y: PETSc.Vec) -> bool:
-    """Whether the tangent has no negative eigenvalue where contact lets the shell move."""
+    """Whether the tangent, left in the workspace's matrix, has no negative eigenvalue where contact lets the shell
+    move."""
     if problem.contact:
         contact_tangent(problem, y, work.matrix)
     else:

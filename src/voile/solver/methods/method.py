@@ -1,6 +1,5 @@
 """What all methods share: their interface, their workspace, their SNES."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -44,8 +43,8 @@ class Workspace:
     `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
     """
 
-    def __init__(self, problem: Problem, monitor: Callable[[float, int, float], None] | None = None):
-        self.comm, self.monitor = problem.comm, monitor or problem.monitor
+    def __init__(self, problem: Problem):
+        self.comm, self.monitor = problem.comm, problem.monitor
         self.matrix, self.counts = problem.create_matrix(), Counts()
         set_defaults(DEFAULTS)
         ksp = PETSc.KSP().create(comm=problem.comm)
@@ -82,7 +81,7 @@ class Nonlinear:
     """
 
     def __init__(self, work: Workspace, prefix: str, iteration: Iteration):
-        self.work, self.iteration = work, iteration
+        self.work = work
         self._problem: Problem | None = None
         snes = self.snes = PETSc.SNES().create(comm=work.comm)
         snes.setOptionsPrefix(prefix)

@@ -83,6 +83,11 @@ class StepControl:
         self.rate = self.rate if leaps else moved / (self.target - self.factor)
         quiet = not leaps and self.target - self.factor >= self.options.quiet * self.nominal
         self.snaps = 0 if quiet else self.snaps + leaps
-        self.factor, self.cuts, self.longest = self.target, 0, self.nominal
+        self.cuts = 0
+        self.advanced(iterations)
+
+    def advanced(self, iterations: int) -> None:
+        """As `done` where nothing but the load matters; what followed no branch once is not tried again."""
+        self.factor, self.longest = self.target, self.nominal
         if iterations <= self.options.easy:
             self.step = min(2.0 * self.step, self.cap or self.nominal)

@@ -20,7 +20,7 @@ from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Outcome
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
-from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, smallest_eigenpair
+from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
 
 
@@ -92,9 +92,7 @@ class LoadPath:
             else:
                 if control.target == 1.0 and self.asked.stability:
                     done = self._settle(done)
-                cuts = control.cuts  # what follows no branch once will not later on
-                control.done(done.iterations, 0.0, False)
-                control.cuts = cuts
+                control.advanced(done.iterations)
             y.copy(path.state)
             path.steps.append(done)
             if on_step:
@@ -245,13 +243,12 @@ class LoadPath:
             path.stable = done.negative == 0 or is_stable(work, problem, y)
             if path.stable or further == 5:
                 break
-            problem.tangent(y, work.matrix)
             value, mode = smallest_eigenpair(problem, work.matrix, slow_rate(problem), work.counts)
             path.smallest_eigenvalue = value
             if not value < 0.0:
                 break
             before = problem.save(y)
-            y.axpy(self.asked.perturbation * problem.thickness() * 4.0**further, mode)
+            y.axpy(reach(self.solver.perturbation, further), mode)
             again, _ = self._solve(True)
             if again is None:
                 problem.restore(y, before)
