@@ -11,10 +11,11 @@ from petsc4py import PETSc
 
 from voile.contact.state import Contact
 from voile.problem.elastic import has_directors, make_kernel
+from voile.problem.follower import pressure_origin
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute
-from voile.problem.shell import Shell, rim_is_free
+from voile.problem.shell import Shell
 from voile.problem.state import State
 from voile.problem.terms import AugmentedContact, Inertia, Point, Term, mass_blocks
 
@@ -25,8 +26,8 @@ class Problem:
     """Equilibrium of a shell: unknown displacements (m) and director angles, at a load factor in [0, 1].
 
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
-    Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
-    its work is then left out of `energy`. `moves`: some support is displaced along the load path;
+    Hessian. `conservative` is False where a load has no potential (pressure up to a boundary that moves freely, end
+    moments); its work is then left out of `energy`. `moves`: some support is displaced along the load path;
     `held`: there is one; `supported`: along every axis there is. `monitor(load factor, iteration, residual in N)`, if
     set, is told of every Newton iteration.
     """
@@ -35,19 +36,20 @@ class Problem:
         self.comm = comm
         settings = None
         if shell is not None:
-            follower = bool(shell.pressure and rim_is_free(shell)) or shell.moment is not None
+            origin = pressure_origin(shell) if shell.pressure else np.zeros(3)
             settings = (
                 shell.model,
                 np.asarray(shell.gravity, float),
                 float(shell.pressure),
                 shell.flat,
-                follower,
+                origin,
+                shell.moment is None,
             )
-        self.model, gravity, pressure, flat, follower = comm.bcast(settings)
-        self.conservative = not follower
+        self.model, gravity, pressure, flat, origin, no_moments = comm.bcast(settings)
+        self.conservative = origin is not None and no_moments
         self.directors = has_directors(self.model)
         self.part = part = distribute(shell, self.directors, comm)
-        self.loads = Loads(part, gravity, pressure)
+        self.loads = Loads(part, gravity, pressure, origin)
         self.load_factor = 1.0
         self.contact: Contact | None = None
         self.inertia: Inertia | None = None
