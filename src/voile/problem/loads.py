@@ -9,8 +9,8 @@ from voile.problem.partition import Part
 
 
 class Loads:
-    """gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume under it, None where the pressure
-    has no potential. Degrees of freedom: 3 per local vertex, one per edge."""
+    """gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume under it, None where it has no
+    potential. Degrees of freedom: 3 per local vertex, one per edge."""
 
     def __init__(self, part: Part, gravity: np.ndarray, pressure: float, origin: np.ndarray | None):
         self.part, self.gravity, self.pressure = part, gravity, pressure
