@@ -15,6 +15,20 @@ struct Jet {
   Real h[21];
 };
 
+// Sums the triangles' energies; those without weight may hold anything.
+struct Sum {
+  Real stretching = 0.0, bending = 0.0;
+  void add(const Jet& jet, const Real& weight) {
+    auto counts = weight.p != 0.0;
+    stretching += weight * select(counts, jet.energy.stretching, Real(0.0));
+    bending += weight * select(counts, jet.energy.bending, Real(0.0));
+  }
+  void store(double* split) const {
+    split[0] = split[1] = 0.0;
+    for (int lane = 0; lane < LANES; ++lane) split[0] += stretching[lane], split[1] += bending[lane];
+  }
+};
+
 // Rest invariants and fabric of a block of triangles.
 struct Rest {
   Invariants<Real> q;

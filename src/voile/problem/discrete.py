@@ -26,8 +26,8 @@ class Problem:
     """Equilibrium of a shell: unknown displacements (m) and director angles, at a load factor in [0, 1].
 
     The potential is the elastic energy less the work of the loads; `residual` is its gradient (N), `tangent` its
-    Hessian. `conservative` is False where a load has no potential (pressure up to a boundary that moves freely, end
-    moments); its work is then left out of `energy`. `moves`: some support is displaced along the load path;
+    Hessian. `conservative` is False where a load has no potential (pressure up to a free boundary, end moments);
+    its work is then left out of `energy`. `moves`: some support is displaced along the load path;
     `held`: there is one; `supported`: along every axis there is. `monitor(load factor, iteration, residual in N)`, if
     set, is told of every Newton iteration.
     """
@@ -36,15 +36,9 @@ class Problem:
         self.comm = comm
         settings = None
         if shell is not None:
-            origin = pressure_origin(shell) if shell.pressure else np.zeros(3)
-            settings = (
-                shell.model,
-                np.asarray(shell.gravity, float),
-                float(shell.pressure),
-                shell.flat,
-                origin,
-                shell.moment is None,
-            )
+            gravity, pressure = np.asarray(shell.gravity, float), float(shell.pressure)
+            origin = pressure_origin(shell) if pressure else np.zeros(3)
+            settings = shell.model, gravity, pressure, shell.flat, origin, shell.moment is None
         self.model, gravity, pressure, flat, origin, no_moments = comm.bcast(settings)
         self.conservative = origin is not None and no_moments
         self.directors = has_directors(self.model)
