@@ -220,6 +220,34 @@ def test_size(model, size):
 
 
 @each_model
+@pytest.mark.parametrize("held", [False, True], ids=["free", "held"])
+def test_forces_of_small_displacements_keep_their_digits(model, held):
+    """Half the displacement, half the force: to 1e-9 at displacements of 1e-11, where a difference of angles would
+    leave five digits. The shell is curved; held: boundary directors along the normal or the edge's conormal."""
+    rest, triangles = irregular_mesh(14)
+    topology, clamps = build_topology(triangles), []
+    for k, half in enumerate(np.flatnonzero(topology.across.ravel() < 0) if held else ()):
+        x = rest[np.roll(triangles[half // 3], -(half % 3))]
+        normal = np.cross(x[2] - x[1], x[0] - x[1])
+        clamps.append((half, k % 2, normal if k % 2 == 0 else np.cross(x[2] - x[1], normal)))
+    clamps = [(half, kind, vector / np.linalg.norm(vector)) for half, kind, vector in clamps]
+    shell = Shell(model, rest, triangles, clamps=clamps)
+    rng = np.random.default_rng(15)
+    u = 1e-11 * rng.normal(size=rest.shape)
+    phi = 1e-11 * rng.normal(size=len(topology.edges)) * shell.kernel.directors
+
+    def force(share):
+        g, edge = np.zeros_like(rest), np.zeros(len(phi))
+        shell.kernel.gradient(share * u, share * phi, g, edge)
+        return np.concatenate([g.ravel(), edge])
+
+    at_rest = force(0.0)
+    whole, half = force(1.0) - at_rest, force(0.5) - at_rest
+    assert np.abs(at_rest).max() < (1e-16 if held else 1e-30)
+    assert np.abs(2.0 * half - whole).max() < 1e-9 * np.abs(whole).max()
+
+
+@each_model
 def test_folded_hinge(model):
     fold = np.radians(179.9)
     rest = np.array([[0, 0, 0], [1, 0, 0], [0.4, 0.9, 0], [0.6, -0.8, 0]], dtype=float)

@@ -21,7 +21,7 @@ struct alignas(64) Block {
   float sign[3][LANES];
   // dalpha_i = own (turn of this triangle) + other (turn of the neighbour): 1/2 each, 0 on a boundary; 1, 0
   // clamped
-  float own[3][LANES], other[3][LANES];
+  float own[3][LANES];
   int first, count;
 };
 
@@ -38,7 +38,7 @@ inline std::vector<Block> make_blocks(const Mesh& mesh, const int* corner) {
         k.across[i][lane] = 3 * corner[other < 0 ? half : other];
         k.edge[i][lane] = mesh.edge[half];
         k.sign[i][lane] = (float)mesh.sign[half];
-        k.own[i][lane] = k.other[i][lane] = other < 0 ? 0.0f : 0.5f;
+        k.own[i][lane] = other < 0 ? 0.0f : 0.5f;
       }
   }
   return blocks;
@@ -50,8 +50,22 @@ struct Local {
       next[3];  // across edge i, its first corner is the vertex across; normal t.n where own alone counts
   Real own[3], other[3];
   Invariants<Real> q;
-  Real dl[3];  // increase of the squared lengths over the start shape
+  Vec3 area, edge[3], across[3];  // increases over the start shape: see Motion
+  Increase<Real> over;            // of q over the rest shape; until `measure`, of l over the start shape
+  Real s_rest[3], c_rest[3];      // sine and cosine of alpha at rest
 };
+
+// What increases count from. Angles are kept as tangents of their halves (alpha's magnitude is at most pi),
+// in half the memory of sine and cosine: the memory's bandwidth limits the kernels.
+struct Origin {
+  Real t[3], root[3];  // of the start shape without directors: alpha, lengths of the edges
+  Real t_rest[3];      // of the rest shape: alpha
+  Real dl[3];          // l of the start shape less that of the rest shape
+};
+
+VOILE_INLINE Real half_tangent(const Real& s, const Real& c) {
+  return lanewise(angle(s, c), [](double x) { return std::tan(0.5 * x); });
+}
 
 VOILE_INLINE Vec3 gather_point(const double* points, const int* at) {
   return {gather([=](int lane) { return points[at[lane]]; }),
@@ -59,14 +73,21 @@ VOILE_INLINE Vec3 gather_point(const double* points, const int* at) {
           gather([=](int lane) { return points[at[lane] + 2]; })};
 }
 
+// Adds an angle to another, both given by sine and cosine.
+VOILE_INLINE void turn(Real& s, Real& c, const Real& sine, const Real& cosine) {
+  Real was = s;
+  s = was * cosine + c * sine;
+  c = c * cosine - was * sine;
+}
+
 // alpha of edge i is turned by the director angles.
-VOILE_INLINE void turn_director(const Block& block, int i, const double* director, Invariants<Real>& q) {
+VOILE_INLINE void turn_director(const Block& block, int i, const double* director, Local& w) {
   Real phi = widen(block.sign[i]) * gather([&](int lane) { return director[block.edge[i][lane]]; });
   if (!any(phi.p != 0.0)) return;
-  Real sine, cosine, s = q.s[i], c = q.c[i];
+  Real sine, cosine;
   sine_cosine(phi, sine, cosine);
-  q.s[i] = s * cosine + c * sine;
-  q.c[i] = c * cosine - s * sine;
+  turn(w.q.s[i], w.q.c[i], sine, cosine);
+  turn(w.over.s[i], w.over.c[i], sine, cosine);
 }
 
 template <bool bends>
@@ -84,23 +105,53 @@ VOILE_INLINE Local local_shape(const Block& block, const double* base, const dou
   build_facet(x, w.t);
   for (int i = 0; i < 3; ++i) {
     Vec3 du = u[(i + 2) % 3] - u[(i + 1) % 3];
-    w.dl[i] = dot(du, w.t.e[i] + w.t.e[i] - du);
+    w.edge[i] = du;
+    w.over.l[i] = dot(du, w.t.e[i] + w.t.e[i] - du);
     w.q.l[i] = w.t.l[i];
-    w.q.s[i] = 0.0, w.q.c[i] = 1.0;
+    w.q.s[i] = w.over.s[i] = 0.0, w.q.c[i] = w.over.c[i] = 1.0;
   }
-  if constexpr (bends)
+  if constexpr (bends) {
+    w.area = w.t.inverse * (cross(w.edge[2], w.t.e[0]) + cross(w.t.e[2] - w.edge[2], w.edge[0]));
     for (int i = 0; i < 3; ++i) {
       Vec3 across = gather_point(base, block.across[i]) - origin;
-      across = across + (gather_point(displacement, block.across[i]) - shift);
-      Vec3 y[3] = {across, x[(i + 2) % 3], x[(i + 1) % 3]};
+      Vec3 moved = gather_point(displacement, block.across[i]) - shift;
+      Vec3 y[3] = {across + moved, x[(i + 2) % 3], x[(i + 1) % 3]};
       build_facet(y, w.next[i]);
-      w.own[i] = widen(block.own[i]), w.other[i] = widen(block.other[i]);
-      auto shared = w.other[i].p != 0.0;
+      w.across[i] = u[(i + 2) % 3] - moved;
+      w.own[i] = widen(block.own[i]);
+      auto shared = w.own[i].p == 0.5;
+      w.other[i] = select(shared, Real(0.5), Real(0.0));
       Real s, c;
-      half_fold(w.t.n, w.next[i].n, (Real(1.0) / w.t.root[i]) * w.t.e[i], s, c);
+      half_fold(w.t.n, w.next[i].n, w.t.unit[i] * w.t.e[i], s, c);
       w.q.s[i] = select(shared, s, Real(0.0)), w.q.c[i] = select(shared, c, Real(1.0));
     }
+  }
   return w;
+}
+
+// Increase of q over the rest shape: over the start shape, which at clamped half edges `hold_directors`
+// knows, and the start shape's.
+template <bool bends>
+VOILE_INLINE void measure(const Origin& origin, Local& w) {
+  for (int i = 0; i < 3; ++i) {
+    if constexpr (bends) {
+      const Real &s = w.q.s[i], &c = w.q.c[i];
+      const Real &t = origin.t[i], &t_rest = origin.t_rest[i], one = 1.0;
+      Real size = one + t * t, size_rest = one + t_rest * t_rest, both = one / (size * size_rest);
+      Real scale = both * size_rest, s0 = (t + t) * scale, c0 = (one - t * t) * scale;
+      scale = both * size;
+      w.s_rest[i] = (t_rest + t_rest) * scale, w.c_rest[i] = (one - t_rest * t_rest) * scale;
+      Motion d{w.area, w.edge[i], w.across[i], w.over.l[i] / (w.t.root[i] + origin.root[i])};
+      Real cosine = c * c0 + s * s0;
+      Real sine = half_turn(w.t, w.next[i], w.t.root[i], d, s, c, s0, c0, cosine);
+      auto shared = w.other[i].p != 0.0;
+      w.over.s[i] = select(shared, sine, w.over.s[i]), w.over.c[i] = select(shared, cosine, w.over.c[i]);
+      // Nothing where start and rest are the same to the last digit.
+      Real turned = (s0 - w.s_rest[i]) * w.c_rest[i] - (c0 - w.c_rest[i]) * w.s_rest[i];
+      turn(w.over.s[i], w.over.c[i], turned, c0 * w.c_rest[i] + s0 * w.s_rest[i]);
+    }
+    w.over.l[i] += origin.dl[i];
+  }
 }
 
 // Half the angles of the rest shape to clamps at rest; share: 1/2 where there is one, else 0.
@@ -117,11 +168,16 @@ VOILE_INLINE void turn_back(const Turn& turn, Invariants<Real>& q) {
   }
 }
 
-// Clamped half edges of the block: alpha is the whole angle from the normal to the held director.
+// Clamped half edges of the block: alpha is the whole angle from the normal to the held director; its
+// increase over the start shape.
 inline void hold_directors(const Block& block, const std::vector<int>& clamp_of,
                            const std::vector<Clamp>& clamps, Local& w) {
   for (int i = 0; i < 3; ++i) {
-    Vec3 conormal = (Real(1.0) / w.t.root[i]) * cross(w.t.e[i], w.t.n);
+    // The held vector along normal and conormal, times the edge's length, and their increase.
+    const Vec3 &n = w.t.n, &de = w.edge[i], e0 = w.t.e[i] - de;
+    const Vec3 conormal = cross(w.t.e[i], n), dm = cross(de, n) + cross(e0, w.area);
+    const Real droot = w.over.l[i] / (w.t.root[i] + sqrt(dot(e0, e0)));
+    const Vec3 dn = w.t.root[i] * w.area + droot * (n - w.area);
     for (int lane = 0; lane < block.count; ++lane) {
       int held = clamp_of[3 * (block.first + lane) + i];
       if (held < 0) continue;
@@ -129,9 +185,12 @@ inline void hold_directors(const Block& block, const std::vector<int>& clamp_of,
       auto along = [&](const Vec3& v) {
         return v.x[lane] * k.vector[0] + v.y[lane] * k.vector[1] + v.z[lane] * k.vector[2];
       };
-      double n = along(w.t.n), m = along(conormal), s = k.conormal ? -n : m, c = k.conormal ? m : n;
-      double size = std::hypot(s, c);
-      w.q.s[i].p[lane] = s / size, w.q.c[i].p[lane] = c / size;
+      double n = w.t.root[i][lane] * along(w.t.n), m = along(conormal);
+      double n0 = n - along(dn), m0 = m - along(dm);
+      double size = std::hypot(n, m), both = size * std::hypot(n0, m0);
+      w.q.s[i].p[lane] = (k.conormal ? -n : m) / size, w.q.c[i].p[lane] = (k.conormal ? m : n) / size;
+      w.over.s[i].p[lane] = (along(dm) * n0 - along(dn) * m0) / both;
+      w.over.c[i].p[lane] = (m * m0 + n * n0) / both;
     }
   }
 }

@@ -1,7 +1,7 @@
 // The energy W of a triangle and its derivatives with respect to the six invariants, against a rest state.
 #pragma once
 
-#include "models.hpp"
+#include "blocks.hpp"
 
 namespace voile {
 inline namespace VOILE_ISA {
@@ -15,10 +15,23 @@ struct Jet {
   Real h[21];
 };
 
+// Sums the triangles' energies; those without weight may hold anything.
+struct Sum {
+  Real stretching = 0.0, bending = 0.0;
+  void add(const Jet& jet, const Real& weight) {
+    auto counts = weight.p != 0.0;
+    stretching += weight * select(counts, jet.energy.stretching, Real(0.0));
+    bending += weight * select(counts, jet.energy.bending, Real(0.0));
+  }
+  void store(double* split) const {
+    split[0] = split[1] = 0.0;
+    for (int lane = 0; lane < LANES; ++lane) split[0] += stretching[lane], split[1] += bending[lane];
+  }
+};
+
 // Rest invariants and fabric of a block of triangles.
 struct Rest {
   Invariants<Real> q;
-  Real dl[3];  // l(start shape) - l(rest)
   Fabric<Real> fabric;
 };
 
@@ -26,8 +39,8 @@ struct Rest {
 // v, the stretching energy is major t^2 - minor d for v = dl, the bending energy ratio times that for v = II
 // - II_rest.
 struct QuadraticRest {
-  Real dl[3], ii[3];
-  Real tau_l[3], tau_ii[3];
+  Real height[3];      // twice the altitudes
+  Sym2<Real> inverse;  // of the first form: what tau is made of
   Real major, minor, ratio;
 };
 
@@ -82,20 +95,26 @@ inline Invariants<T> lift(const Invariants<Real>& q) {
   return r;
 }
 
-// dl = l - l_rest with its accurate value, the increase over the start shape plus the start's.
+// The energy; differences from the rest shape have the accurate values of `over`.
 template <class Model, class T>
-inline Energy<T> model_energy(const Invariants<T>& q, const Real increase[3], const Rest& rest,
+inline Energy<T> model_energy(const Invariants<T>& q, const Increase<Real>& over, const Rest& rest,
                               const Invariants<T>& q_rest, const Fabric<T>& fabric) {
   T dl[3];
+  Real df[3];
   for (int i = 0; i < 3; ++i) {
     dl[i] = q.l[i] - q_rest.l[i];
-    set_value(dl[i], increase[i] + rest.dl[i]);
+    set_value(dl[i], over.l[i]);
+    if constexpr (Model::bends) {
+      Real s = value(q.s[i]), c = value(q.c[i]), f = Model::Fibre::f(s, c);
+      df[i] = Model::Fibre::increase({s, c, f, rest.q.s[i], rest.q.c[i], over.s[i], over.c[i]});
+    }
   }
-  return Model::energy(q, dl, q_rest, fabric);
+  return Model::energy(q, dl, df, q_rest, fabric);
 }
 
 template <class Model, int order>
-inline void evaluate_automatic(const Rest& r, const Invariants<Real>& at, const Real increase[3], Jet& jet) {
+inline void evaluate_automatic(const Rest& r, const Invariants<Real>& at, const Increase<Real>& over,
+                               Jet& jet) {
   constexpr int N = Model::bends ? 6 : 3;
   using T = std::conditional_t<order == 0, Real,
                                std::conditional_t<order == 1, Dual<Real, N>, Dual<Dual<Real, N>, N>>>;
@@ -112,7 +131,7 @@ inline void evaluate_automatic(const Rest& r, const Invariants<Real>& at, const 
       q.c[i] = wave2<N, N>(at.c[i], -at.s[i], 3 + i);
     }
   }
-  auto e = model_energy<Model, T>(q, increase, r, lift<T>(r.q), lift<T>(r.fabric));
+  auto e = model_energy<Model, T>(q, over, r, lift<T>(r.q), lift<T>(r.fabric));
   if constexpr (order == 0) {
     jet.energy = e;
   } else {
@@ -158,38 +177,39 @@ inline QuadraticRest quadratic_rest(const Rest& rest) {
   r.major = Real(0.5) * modulus / (Real(1.0) - f.poisson * f.poisson);
   r.minor = modulus / ((Real(1.0) + f.poisson) * form.det());
   r.ratio = f.thickness * f.thickness * Real(1.0 / 3.0);
-  r.tau_l[0] = -i.b, r.tau_l[1] = i.b + i.c, r.tau_l[2] = i.a + i.b;
-  r.tau_ii[0] = i.a + Real(2.0) * i.b + i.c, r.tau_ii[1] = i.a, r.tau_ii[2] = i.c;
-  for (int k = 0; k < 3; ++k) {
-    r.dl[k] = rest.dl[k];
-    r.ii[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]) * Model::Fibre::f(rest.q.s[k], rest.q.c[k]);
-  }
+  r.inverse = i;
+  for (int k = 0; k < 3; ++k) r.height[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]);
   return r;
 }
 
-// twice_area: of the deformed triangle; root: its edges' lengths.
 template <class Model, int order>
-VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Invariants<Real>& q, const Real& twice_area,
-                                 const Real root[3], Jet& jet) {
+VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Local& w, Jet& jet) {
   using F = Dual<Dual<Real, 1>, 1>;
-  const Real* l = q.l;
-  Real ii[3], f1[3], f2[3], height[3], change[3], moment[3];
+  const Invariants<Real>& q = w.q;
+  const Real *l = q.l, *dl = w.over.l;
+  const Real tau[3] = {r.inverse.a + Real(2.0) * r.inverse.b + r.inverse.c, r.inverse.a, r.inverse.c};
+  Real ii[3], f1[3], f2[3], height[3], inverse_l[3], change[3], moment[3];
+  const Real det_grown = det_increase(l, dl);
   for (int i = 0; i < 3; ++i) {
     F f = Model::Fibre::f(wave2<1, 1>(q.s[i], q.c[i], 0), wave2<1, 1>(q.c[i], -q.s[i], 0));
     f1[i] = f.d[0].v, f2[i] = f.d[0].d[0];
-    height[i] = Real(2.0) * twice_area / root[i];
+    height[i] = Real(2.0) * w.t.twice_area * w.t.unit[i];
+    inverse_l[i] = w.t.unit[i] * w.t.unit[i];
     ii[i] = height[i] * f.v.v;
-    change[i] = r.ratio * (ii[i] - r.ii[i]);
+    Real turned =
+        Model::Fibre::increase({q.s[i], q.c[i], f.v.v, w.s_rest[i], w.c_rest[i], w.over.s[i], w.over.c[i]});
+    Real grown = height_increase(height[i], r.height[i], inverse_l[i], dl[i], det_grown);
+    change[i] = r.ratio * (height[i] * turned + grown * (f.v.v - turned));
   }
-  jet.energy.bending = stress(r, r.tau_ii, SECOND_DET, change, moment) / r.ratio;
+  jet.energy.bending = stress(r, tau, SECOND_DET, change, moment) / r.ratio;
   if constexpr (order == 0) return;
-  Real inverse = Real(1.0) / (twice_area * twice_area), total = Real(0.5) * (l[0] + l[1] + l[2]);
+  Real inverse = w.t.inverse * w.t.inverse, half = Real(0.5) * (l[0] + l[1] + l[2]);
   Real slope_det[3], rate[3][3], first[3][6];  // d ln det/dl_i; d ln height_i/dl_j; dII_i/dq
-  for (int i = 0; i < 3; ++i) slope_det[i] = (total - l[i]) * inverse;
+  for (int i = 0; i < 3; ++i) slope_det[i] = (half - l[i]) * inverse;
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {
       rate[i][j] = Real(0.5) * slope_det[j];
-      if (i == j) rate[i][j] -= Real(0.5) / l[i];
+      if (i == j) rate[i][j] -= Real(0.5) * inverse_l[i];
       first[i][j] = ii[i] * rate[i][j];
       first[i][3 + j] = i == j ? height[i] * f1[i] : Real(0.0);
       jet.g[j] += moment[i] * first[i][j];
@@ -202,8 +222,7 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Invariants<Real>&
     for (int p = 0; p < 6; ++p) {
       turned[i][p] = 0.0;
       for (int j = 0; j < 3; ++j)
-        if (p < 3 || p - 3 == j)
-          turned[i][p] += r.ratio * stiffness(r, r.tau_ii, SECOND_DET, i, j) * first[j][p];
+        if (p < 3 || p - 3 == j) turned[i][p] += r.ratio * stiffness(r, tau, SECOND_DET, i, j) * first[j][p];
     }
   for (int p = 0; p < 6; ++p)
     for (int k = p; k < 6; ++k)
@@ -215,7 +234,7 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Invariants<Real>&
       for (int k = j; k < 3; ++k) jet.h[upper(j, k)] += moment[i] * ii[i] * rate[i][j] * rate[i][k];
       jet.h[upper(j, 3 + i)] += moment[i] * height[i] * f1[i] * rate[i][j];
     }
-    jet.h[upper(i, i)] += moment[i] * ii[i] * Real(0.5) / (l[i] * l[i]);
+    jet.h[upper(i, i)] += moment[i] * ii[i] * Real(0.5) * inverse_l[i] * inverse_l[i];
     jet.h[upper(3 + i, 3 + i)] += moment[i] * height[i] * f2[i];
     for (int k = i; k < 3; ++k)
       jet.h[upper(i, k)] +=
@@ -224,18 +243,14 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Invariants<Real>&
 }
 
 template <class Model, int order>
-VOILE_INLINE void evaluate_quadratic(const QuadraticRest& r, const Invariants<Real>& q,
-                                     const Real increase[3], const Real& twice_area, const Real root[3],
-                                     Jet& jet) {
-  Real dl[3];
-  for (int i = 0; i < 3; ++i) dl[i] = increase[i] + r.dl[i];
-  jet.energy = {stress(r, r.tau_l, FIRST_DET, dl, jet.g), 0.0};
+VOILE_INLINE void evaluate_quadratic(const QuadraticRest& r, const Local& w, Jet& jet) {
+  const Real tau[3] = {-r.inverse.b, r.inverse.b + r.inverse.c, r.inverse.a + r.inverse.b};
+  jet.energy = {stress(r, tau, FIRST_DET, w.over.l, jet.g), 0.0};
   for (int i = 3; i < 6; ++i) jet.g[i] = 0.0;
   if constexpr (order == 2)
     for (int i = 0; i < 6; ++i)
-      for (int j = i; j < 6; ++j)
-        jet.h[upper(i, j)] = j < 3 ? stiffness(r, r.tau_l, FIRST_DET, i, j) : Real(0.0);
-  if constexpr (Model::bends) bend_quadratic<Model, order>(r, q, twice_area, root, jet);
+      for (int j = i; j < 6; ++j) jet.h[upper(i, j)] = j < 3 ? stiffness(r, tau, FIRST_DET, i, j) : Real(0.0);
+  if constexpr (Model::bends) bend_quadratic<Model, order>(r, w, jet);
 }
 
 }  // namespace VOILE_ISA

@@ -104,6 +104,12 @@ inline Dual<T, N> log1p(const Dual<T, N>& a) {
   return chain(a, log1p(a.v), T(T(1.0) / (a.v + T(1.0))));
 }
 
+// x - log1p(x)
+template <class T, int N>
+inline Dual<T, N> less_log1p(const Dual<T, N>& a) {
+  return chain(a, less_log1p(a.v), T(a.v / (a.v + T(1.0))));
+}
+
 // The angle whose sine and cosine are s and c (not necessarily normalised); derivative (c ds - s
 // dc)/(s^2+c^2).
 template <class T, int N>

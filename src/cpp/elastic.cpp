@@ -21,6 +21,7 @@ class ElasticModel final : public Elastic {
   std::vector<double> turn_weight;
   std::vector<Rest> rest;
   std::vector<QuadraticRest> quadratic;
+  std::vector<Origin> origin;
   std::vector<Turn> turns;  // from the clamps that are at rest; empty without
   std::vector<Block> rest_blocks;
   std::vector<double> rest_points, still;  // still: no displacement
@@ -36,9 +37,12 @@ class ElasticModel final : public Elastic {
     Local w = local_shape<Model::bends>(block, mesh.start.data(), state.displacement);
     if constexpr (Model::bends) {
       if (!clamp_of.empty()) hold_directors(block, clamp_of, clamps, w);
+      measure<true>(origin[block.first / LANES], w);
       if (!turns.empty()) turn_back(turns[block.first / LANES], w.q);
       if constexpr (Model::directors)
-        for (int i = 0; i < 3; ++i) turn_director(block, i, state.director, w.q);
+        for (int i = 0; i < 3; ++i) turn_director(block, i, state.director, w);
+    } else {
+      measure<false>(origin[block.first / LANES], w);
     }
     return w;
   }
@@ -64,6 +68,21 @@ class ElasticModel final : public Elastic {
     }
   }
 
+  // From the start shape with directors along the normals to the rest shape, which is known.
+  void set_origin(size_t b) {
+    Local w = local_shape<Model::bends>(blocks[b], mesh.start.data(), still.data());
+    if constexpr (Model::bends) {
+      if (!clamp_of.empty()) hold_directors(blocks[b], clamp_of, clamps, w);
+      if (!turns.empty()) turn_back(turns[b], w.q);
+    }
+    for (int i = 0; i < 3; ++i) {
+      origin[b].t[i] = half_tangent(w.q.s[i], w.q.c[i]);
+      origin[b].root[i] = w.t.root[i];
+      origin[b].t_rest[i] = half_tangent(rest[b].q.s[i], rest[b].q.c[i]);
+      origin[b].dl[i] = w.q.l[i] - rest[b].q.l[i];
+    }
+  }
+
   // Share of the rest shape's turn about edge i that acts on q, not on q_rest.
   Real turned(size_t b, int i) const { return turns.empty() ? Real(0.0) : turns[b].share[i]; }
 
@@ -72,8 +91,7 @@ class ElasticModel final : public Elastic {
     auto made = make_blocks(mesh, corner);
     for (size_t half = 0; half < clamp_of.size(); ++half) {
       int t = (int)half / 3, i = (int)half % 3;
-      if (clamp_of[half] >= 0)
-        made[t / LANES].own[i][t % LANES] = 1.0f, made[t / LANES].other[i][t % LANES] = 0.0f;
+      if (clamp_of[half] >= 0) made[t / LANES].own[i][t % LANES] = 1.0f;
     }
     return made;
   }
@@ -81,14 +99,15 @@ class ElasticModel final : public Elastic {
   template <int order>
   void evaluate(size_t b, const Local& w, Jet& jet) const {
     if constexpr (Model::quadratic)
-      evaluate_quadratic<Model, order>(quadratic[b], w.q, w.dl, w.t.twice_area, w.t.root, jet);
+      evaluate_quadratic<Model, order>(quadratic[b], w, jet);
     else
-      evaluate_automatic<Model, order>(rest[b], w.q, w.dl, jet);
+      evaluate_automatic<Model, order>(rest[b], w.q, w.over, jet);
   }
 
  public:
   explicit ElasticModel(Mesh m) : mesh(std::move(m)), blocks(make_blocks(mesh, mesh.corner.data())) {
     rest.resize(blocks.size());
+    origin.resize(blocks.size());
     quadratic.resize(Model::quadratic ? blocks.size() : 0);
     set_weights(std::vector<double>(mesh.triangles, 1.0).data());
   }
@@ -116,13 +135,11 @@ class ElasticModel final : public Elastic {
     rest_flat = flat;
     turns.resize(flat || rest_clamp_of.empty() ? 0 : blocks.size());
     for (size_t b = 0; b < blocks.size(); ++b) {
-      Local w = rest_local(b), start = local_shape<false>(blocks[b], mesh.start.data(), still.data());
+      Local w = rest_local(b);
       if (!turns.empty()) share_turns(b, w);
       rest[b].q = w.q;
-      for (int i = 0; i < 3; ++i) {
-        if (flat) rest[b].q.s[i] = 0.0, rest[b].q.c[i] = 1.0;
-        rest[b].dl[i] = start.q.l[i] - w.q.l[i];
-      }
+      for (int i = 0; i < 3 && flat; ++i) rest[b].q.s[i] = 0.0, rest[b].q.c[i] = 1.0;
+      set_origin(b);
       if constexpr (Model::quadratic) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
@@ -143,20 +160,6 @@ class ElasticModel final : public Elastic {
     for (int t = 0; t < mesh.triangles; ++t) weight[t / LANES].p[t % LANES] = w[t];
   }
   void set_turn_weights(const double* w) override { turn_weight.assign(w, w + 3 * (size_t)mesh.triangles); }
-
-  // Sums the triangles' energies; those without weight may hold anything.
-  struct Sum {
-    Real stretching = 0.0, bending = 0.0;
-    void add(const Jet& jet, const Real& weight) {
-      auto counts = weight.p != 0.0;
-      stretching += weight * select(counts, jet.energy.stretching, Real(0.0));
-      bending += weight * select(counts, jet.energy.bending, Real(0.0));
-    }
-    void store(double* split) const {
-      split[0] = split[1] = 0.0;
-      for (int lane = 0; lane < LANES; ++lane) split[0] += stretching[lane], split[1] += bending[lane];
-    }
-  };
 
   void energy(State state, double* split) override {
     Sum sum;
@@ -283,7 +286,7 @@ class ElasticModel final : public Elastic {
       }
       Fabric<T> f{T(variable<9>(r.fabric.thickness, 6)), T(variable<9>(r.fabric.young, 7)),
                   T(variable<9>(r.fabric.poisson, 8))};
-      auto e = model_energy<Model, T>(q, w.dl, r, qr, f);
+      auto e = model_energy<Model, T>(q, w.over, r, qr, f);
       T sum = e.stretching + e.bending;
       for (int lane = 0; lane < block.count; ++lane) {
         size_t t = (size_t)block.first + lane;
@@ -318,7 +321,7 @@ class ElasticModel final : public Elastic {
         qr.s[i] = T(wave<6>(r.q.s[i], off * r.q.c[i], 3 + i));
         qr.c[i] = T(wave<6>(r.q.c[i], -off * r.q.s[i], 3 + i));
       }
-      auto e = model_energy<Model, T>(q, w.dl, r, qr, lift<T>(r.fabric));
+      auto e = model_energy<Model, T>(q, w.over, r, qr, lift<T>(r.fabric));
       T sum = e.stretching + e.bending;
       for (int lane = 0; lane < block.count; ++lane)
         for (int k = 0; k < 6; ++k) slope[6 * ((size_t)block.first + lane) + k] = sum.d[0].d[k][lane];

@@ -1,6 +1,7 @@
 // Elastic models: each is a scalar function of the six invariants of a triangle (design, section 1).
 //
-// To add a bending variant: one struct with f(sin alpha, cos alpha) and one line in the table of elastic.cpp.
+// To add a bending variant: one struct with f(sin alpha, cos alpha) and how to subtract its values without
+// cancellation, and one line in the table of elastic.cpp.
 // To add a material: one struct with stretching() (and bending() if it differs) and one line in that table.
 #pragma once
 
@@ -9,9 +10,16 @@
 namespace voile {
 inline namespace VOILE_ISA {
 
-// l_i: squared edge lengths; s_i, c_i: sine and cosine of alpha_i = theta_i/2 + s_i phi_i; dl = l - l_rest.
+// l_i: squared edge lengths; s_i, c_i: sine and cosine of alpha_i = theta_i/2 + s_i phi_i.
 template <class T>
 struct Invariants {
+  T l[3], s[3], c[3];
+};
+
+// How much more the invariants are than those of another shape, rounded in proportion to the difference; s_i,
+// c_i: sine and cosine of the difference of the alpha_i.
+template <class T>
+struct Increase {
   T l[3], s[3], c[3];
 };
 
@@ -30,17 +38,36 @@ struct Sym2 {  // symmetric 2x2 [[a, b], [b, c]]
   }
 };
 
+template <class T>
+inline Sym2<Real> value(const Sym2<T>& m) {
+  return {value(m.a), value(m.b), value(m.c)};
+}
+
 // First fundamental form in the basis of the edges from the first vertex; linear in the squared lengths.
 template <class T>
 inline Sym2<T> first_form(const T l[3]) {
   return {l[2], 0.5 * (l[1] + l[2] - l[0]), l[1]};
 }
 
+// det(first_form(l)) - det(first_form(l - dl)).
+template <class T>
+inline T det_increase(const T l[3], const T dl[3]) {
+  T w[3], sum = T(0.0), increase = T(0.0);
+  for (int i = 0; i < 3; ++i) w[i] = 2.0 * l[i] - dl[i], sum = sum + w[i];
+  for (int i = 0; i < 3; ++i) increase = increase + dl[i] * (0.5 * sum - w[i]);
+  return 0.5 * increase;
+}
+
+// Increase of twice the altitude on an edge, h, over that at rest; det_grown: of the first form's
+// determinant.
+VOILE_INLINE Real height_increase(const Real& h, const Real& h_rest, const Real& inverse_l, const Real& dl,
+                                  const Real& det_grown) {
+  return inverse_l * (Real(4.0) * det_grown - h_rest * h_rest * dl) / (h + h_rest);
+}
+
 // Second fundamental form in the same basis from II_i = 2 altitude_i f(alpha_i).
-template <class Bending, class T>
-inline Sym2<T> second_form(const Invariants<T>& q, const T& det) {
-  T ii[3];
-  for (int i = 0; i < 3; ++i) ii[i] = 2.0 * (sqrt(det / q.l[i]) * Bending::f(q.s[i], q.c[i]));
+template <class T>
+inline Sym2<T> second_form(const T ii[3]) {
   return {ii[0] + ii[1], ii[0], ii[0] + ii[2]};
 }
 
@@ -63,21 +90,26 @@ inline T lame_mu(const Fabric<T>& f) {
   return 0.5 * (f.young / (T(1.0) + f.poisson));
 }
 
-// ---- bending variants: f of sin(alpha), cos(alpha) ----
+// ---- bending variants: f of sin(alpha), cos(alpha); its increase over that at rest ----
 
-struct Average {  // sin with all director angles zero: the mid-edge normal bisects the two face normals
-  static constexpr bool directors = false;
-  template <class T>
-  static T f(const T& s, const T&) {
-    return s;
-  }
+// What it takes to subtract f(alpha_rest) from f = f(alpha): sines and cosines of alpha, alpha_rest and their
+// difference.
+struct Turned {
+  Real s, c, f, s_rest, c_rest, sine, cosine;
 };
+
 struct Sin {
   static constexpr bool directors = true;
   template <class T>
   static T f(const T& s, const T&) {
     return s;
   }
+  static Real increase(const Turned& t) {  // sums of cosines and sines as products
+    return select(t.cosine.p > 0.0, t.sine * (t.c + t.c_rest) / (Real(1.0) + t.cosine), t.s - t.s_rest);
+  }
+};
+struct Average : Sin {  // all director angles zero: the mid-edge normal bisects the two face normals
+  static constexpr bool directors = false;
 };
 struct Tan {  // infinite at a fully folded hinge
   static constexpr bool directors = true;
@@ -85,6 +117,7 @@ struct Tan {  // infinite at a fully folded hinge
   static T f(const T& s, const T& c) {
     return s / select(value(c).p > 0.0, c, T(0.0));
   }
+  static Real increase(const Turned& t) { return t.sine / (select(t.c.p > 0.0, t.c, Real(0.0)) * t.c_rest); }
 };
 struct Theta {
   static constexpr bool directors = true;
@@ -92,9 +125,14 @@ struct Theta {
   static T f(const T& s, const T& c) {
     return angle(s, c);
   }
+  static Real increase(const Turned& t) {
+    const double pi = M_PI;
+    Real turn = angle(t.sine, t.cosine), missing = t.f - angle(t.s_rest, t.c_rest) - turn;  // whole turns
+    return turn + select(missing.p > pi, Real(2.0 * pi), select(missing.p < -pi, Real(-2.0 * pi), Real(0.0)));
+  }
 };
 
-// ---- materials: energies per unit rest area; dA = A - A_rest ----
+// ---- materials: energies per unit rest area; dA = A - A_rest, dB = B - B_rest ----
 
 struct StVK {
   template <class T>
@@ -102,9 +140,8 @@ struct StVK {
     return 0.25 * (f.thickness * saint_venant(inverse, da, lame_lambda(f), lame_mu(f)));
   }
   template <class T>
-  static T bending(const Sym2<T>&, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+  static T bending(const Sym2<T>&, const Sym2<T>&, const Sym2<T>& inverse, const Sym2<T>&, const Sym2<T>& db,
                    const Fabric<T>& f) {
-    Sym2<T> db{b.a - b_rest.a, b.b - b_rest.b, b.c - b_rest.c};
     T cube = f.thickness * f.thickness * f.thickness;
     return (1.0 / 12.0) * (cube * saint_venant(inverse, db, lame_lambda(f), lame_mu(f)));
   }
@@ -114,17 +151,27 @@ struct NeoHookean {
   template <class T>
   static T stretching(const Sym2<T>&, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
     T trace = inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c;  // tr(A_rest^-1 A) - 2
-    T log_j = 0.5 * log1p(trace + inverse.det() * da.det());                   // J^2 = det(1 + A_rest^-1 dA)
-    return 0.5 * (f.thickness * (lame_mu(f) * (trace - 2.0 * log_j) + lame_lambda(f) * log_j * log_j));
+    T det = inverse.det() * da.det();
+    T growth = trace + det;         // J^2 - 1 = det(1 + A_rest^-1 dA) - 1
+    T log_j = 0.5 * log1p(growth);  // trace - 2 ln J = growth - ln(1 + growth) - det
+    return 0.5 * (f.thickness * (lame_mu(f) * (less_log1p(growth) - det) + lame_lambda(f) * log_j * log_j));
   }
   template <class T>
-  static T bending(const Sym2<T>& a, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
-                   const Fabric<T>& f) {
-    Sym2<T> i = a.inverse();
+  static T bending(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+                   const Sym2<T>& db, const Fabric<T>& f) {
+    Sym2<T> i = a.inverse(), b{b_rest.a + db.a, b_rest.b + db.b, b_rest.c + db.c};
     T m11 = i.a * b.a + i.b * b.b - inverse.a * b_rest.a - inverse.b * b_rest.b;
     T m12 = i.a * b.b + i.b * b.c - inverse.a * b_rest.b - inverse.b * b_rest.c;
     T m21 = i.b * b.a + i.c * b.b - inverse.b * b_rest.a - inverse.c * b_rest.b;
     T m22 = i.b * b.b + i.c * b.c - inverse.b * b_rest.b - inverse.c * b_rest.c;
+    // Their values without cancellation: A^-1 (dB - dA R), R = A_rest^-1 B_rest.
+    Sym2<Real> j = value(i), g = value(da), d = value(db), k = value(inverse), rest = value(b_rest);
+    Real r11 = k.a * rest.a + k.b * rest.b, r12 = k.a * rest.b + k.b * rest.c;
+    Real r21 = k.b * rest.a + k.c * rest.b, r22 = k.b * rest.b + k.c * rest.c;
+    Real n11 = d.a - g.a * r11 - g.b * r21, n12 = d.b - g.a * r12 - g.b * r22;
+    Real n21 = d.b - g.b * r11 - g.c * r21, n22 = d.c - g.b * r12 - g.c * r22;
+    set_value(m11, j.a * n11 + j.b * n21), set_value(m12, j.a * n12 + j.b * n22);
+    set_value(m21, j.b * n11 + j.c * n21), set_value(m22, j.b * n12 + j.c * n22);
     T trace = m11 + m22, cube = f.thickness * f.thickness * f.thickness;
     T norm =
         0.5 * (lame_lambda(f) * trace * trace) + lame_mu(f) * (m11 * m11 + 2.0 * (m12 * m21) + m22 * m22);
@@ -151,13 +198,14 @@ struct TensionField {
     return select((value(margin2).p >= 0.0) & (value(margin1).p >= 0.0), taut, some);
   }
   template <class T>
-  static T bending(const Sym2<T>& a, const Sym2<T>& b, const Sym2<T>& inverse, const Sym2<T>& b_rest,
-                   const Fabric<T>& f) {
-    return StVK::bending(a, b, inverse, b_rest, f);
+  static T bending(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Sym2<T>& b_rest,
+                   const Sym2<T>& db, const Fabric<T>& f) {
+    return StVK::bending(a, da, inverse, b_rest, db, f);
   }
 };
 
 // ---- models: energy of one triangle, split into stretching and bending ----
+// dl = l - l_rest; df = Fibre::f(alpha) - Fibre::f(alpha_rest), values only.
 
 template <class T>
 struct Energy {
@@ -169,7 +217,8 @@ struct Membrane {
   static constexpr bool bends = false, directors = false, quadratic = std::is_same_v<Material, StVK>;
   using Fibre = Average;
   template <class T>
-  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real[3], const Invariants<T>& r,
+                          const Fabric<T>& f) {
     Sym2<T> rest = first_form(r.l);
     T area = 0.5 * sqrt(rest.det());
     return {area * Material::stretching(first_form(q.l), first_form(dl), rest.inverse(), f), T(0.0)};
@@ -182,13 +231,25 @@ struct Koiter {
                         quadratic = std::is_same_v<Material, StVK>;
   using Fibre = Bending;
   template <class T>
-  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
-    Sym2<T> a = first_form(q.l), rest = first_form(r.l), inverse = rest.inverse();
-    T det = rest.det(), area = 0.5 * sqrt(det);
-    T stretching = Material::stretching(a, first_form(dl), inverse, f);
-    T bending =
-        Material::bending(a, second_form<Bending>(q, a.det()), inverse, second_form<Bending>(r, det), f);
-    return {area * stretching, area * bending};
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
+                          const Fabric<T>& f) {
+    Sym2<T> a = first_form(q.l), da = first_form(dl), rest = first_form(r.l), inverse = rest.inverse();
+    T det = a.det(), det_rest = rest.det(), area = 0.5 * sqrt(det_rest);
+    T ii_rest[3], increase[3];
+    Real l[3], grown[3];
+    for (int i = 0; i < 3; ++i) l[i] = value(q.l[i]), grown[i] = value(dl[i]);
+    Real det_grown = det_increase(l, grown);
+    for (int i = 0; i < 3; ++i) {
+      T height = 2.0 * sqrt(det / q.l[i]), height_rest = 2.0 * sqrt(det_rest / r.l[i]);
+      T f_rest = Bending::f(r.s[i], r.c[i]);
+      ii_rest[i] = height_rest * f_rest;
+      increase[i] = height * Bending::f(q.s[i], q.c[i]) - ii_rest[i];
+      Real h = value(height), h_rest = value(height_rest);
+      set_value(increase[i], h * df[i] + height_increase(h, h_rest, Real(1.0) / l[i], grown[i], det_grown) *
+                                             value(f_rest));
+    }
+    T bending = Material::bending(a, da, inverse, second_form(ii_rest), second_form(increase), f);
+    return {area * Material::stretching(a, da, inverse, f), area * bending};
   }
 };
 
@@ -199,7 +260,8 @@ struct DiscreteShells {
   static constexpr bool bends = true, directors = false, quadratic = false;
   using Fibre = Theta;
   template <class T>
-  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Invariants<T>& r, const Fabric<T>& f) {
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
+                          const Fabric<T>& f) {
     T det = first_form(q.l).det(), det_rest = first_form(r.l).det(), area = 0.5 * sqrt(det_rest);
     T lambda = lame_lambda(f), mu = lame_mu(f);
     T lengths = T(0.0), hinges = T(0.0);
@@ -208,9 +270,10 @@ struct DiscreteShells {
       T strain = dl[i] / (root * (sqrt(q.l[i]) + root));  // |e|/|e_rest| - 1
       lengths = lengths + strain * strain;
       T fold = 2.0 * (angle(q.s[i], q.c[i]) - angle(r.s[i], r.c[i]));
+      set_value(fold, Real(2.0) * df[i]);
       hinges = hinges + (r.l[i] / sqrt(det_rest)) * fold * fold;  // |e|/altitude
     }
-    T growth = sqrt(det / det_rest) - 1.0;
+    T growth = det_increase(q.l, dl) / (det_rest + sqrt(det * det_rest));  // area over area at rest, - 1
     T rest_of_area = 0.5 * (lambda - mu);
     rest_of_area = select(value(rest_of_area).p > 0.0, rest_of_area, T(0.0));
     T cube = f.thickness * f.thickness * f.thickness;

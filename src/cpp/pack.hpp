@@ -76,6 +76,16 @@ inline Real sqrt(const Real& a) {
 inline Real log1p(const Real& a) {
   return lanewise(a, [](double x) { return std::log1p(x); });
 }
+// x - log1p(x), by its series where the difference would cancel.
+inline Real less_log1p(const Real& a) {
+  return lanewise(a, [](double x) {
+    if (!(std::fabs(x) < 0.01)) return x - std::log1p(x);
+    double sum = 0.0;
+    for (int k = 9; k > 1; --k)
+      sum = 1.0 / k - x * sum;  // the first term left out is below a unit in the last place
+    return x * x * sum;
+  });
+}
 inline Real angle(const Real& s, const Real& c) {
   Real r;
   for (int i = 0; i < LANES; ++i) r.p[i] = std::atan2(s.p[i], c.p[i]);

@@ -12,10 +12,11 @@ from petsc4py import PETSc
 from voile.contact.state import Contact
 from voile.elastic import has_directors
 from voile.problem.elastic import make_kernel
+from voile.problem.follower import pressure_origin
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute
-from voile.problem.shell import Shell, rim_is_free
+from voile.problem.shell import Shell
 from voile.problem.state import State
 from voile.problem.terms import AugmentedContact, Inertia, Point, Term, mass_blocks
 
@@ -36,19 +37,14 @@ class Problem:
         self.comm = comm
         settings = None
         if shell is not None:
-            follower = bool(shell.pressure and rim_is_free(shell)) or shell.moment is not None
-            settings = (
-                shell.model,
-                np.asarray(shell.gravity, float),
-                float(shell.pressure),
-                shell.flat,
-                follower,
-            )
-        self.model, gravity, pressure, flat, follower = comm.bcast(settings)
-        self.conservative = not follower
+            gravity, pressure = np.asarray(shell.gravity, float), float(shell.pressure)
+            origin = pressure_origin(shell) if pressure else np.zeros(3)
+            settings = shell.model, gravity, pressure, shell.flat, origin, shell.moment is None
+        self.model, gravity, pressure, flat, origin, no_moments = comm.bcast(settings)
+        self.conservative = origin is not None and no_moments
         self.directors = has_directors(self.model)
         self.part = part = distribute(shell, self.directors, comm)
-        self.loads = Loads(part, gravity, pressure)
+        self.loads = Loads(part, gravity, pressure, origin)
         self.load_factor = 1.0
         self.contact: Contact | None = None
         self.inertia: Inertia | None = None

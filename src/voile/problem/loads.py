@@ -9,10 +9,12 @@ from voile.problem.partition import Part
 
 
 class Loads:
-    """gravity (3,) m/s^2; pressure (Pa, follows the normal). Degrees of freedom: 3 per local vertex, one per edge."""
+    """gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume under it, None where it has no
+    potential. Degrees of freedom: 3 per local vertex, one per edge."""
 
-    def __init__(self, part: Part, gravity: np.ndarray, pressure: float):
+    def __init__(self, part: Part, gravity: np.ndarray, pressure: float, origin: np.ndarray | None):
         self.part, self.gravity, self.pressure = part, gravity, pressure
+        self.origin = np.zeros(3) if origin is None else origin
         self.moments = EndMoments(part) if part.moment.any() else None
         self.own = np.zeros(len(part.vertex), dtype=bool)
         self.own[part.owned_vertices] = True
@@ -29,7 +31,7 @@ class Loads:
         count, rows = len(displacement), np.repeat(self.own, 3)
         return {
             "gravity": -factor * float(np.dot(self.weight[:count] * rows, displacement)),
-            "pressure": factor * pressure_energy(positions, self.part, self.pressure)
+            "pressure": factor * pressure_energy(positions, self.part, self.pressure, self.origin)
             if self.pressure
             else 0.0,
             "force": -factor * float(np.dot(self.part.force[:count] * rows, displacement)),

@@ -159,9 +159,3 @@ def seam_gaps(shell: Shell) -> np.ndarray:
     x, w = shell.points, shell.weight[:, None]
     apart = x[shell.slave] - (1.0 - w) * x[shell.first] - w * x[shell.second]
     return np.linalg.norm(apart, axis=1)
-
-
-def rim_is_free(shell: Shell) -> bool:
-    """Whether some boundary vertex can move."""
-    rim = shell.topology.edges[shell.topology.boundary_edges]
-    return bool(len(rim)) and not bool(shell.fixed[rim].all())

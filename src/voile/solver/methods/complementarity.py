@@ -23,6 +23,9 @@ from voile.solver.methods.semismooth import Semismooth
 
 REACH = 0.1  # of the shell's size
 OPTION = "contact_snes_type"
+# Whole steps: backtracking on the residual's norm gets stuck, as that rises where the active set has to change.
+# Work space in per cent: pivoting wants more than the estimate.
+DEFAULTS = {"contact_snes_linesearch_type": "basic", "contact_mat_mumps_icntl_14": "200"}
 
 
 class Complementarity:
@@ -81,7 +84,7 @@ class Inequality:
         snes.setTolerances(rtol=0.0, atol=wanted, stol=0.0, max_it=200)
         snes.ksp.setType(PETSc.KSP.Type.PREONLY)
         use_lu(snes.ksp.pc)
-        set_defaults({"contact_mat_mumps_icntl_14": "200"})  # per cent: pivoting wants more than the estimate
+        set_defaults(DEFAULTS)
         snes.setFromOptions()
         snes.solve(None, z)
         self._take(z)

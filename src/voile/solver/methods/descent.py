@@ -26,13 +26,15 @@ _REASON = PETSc.SNES.ConvergedReason
 @dataclass
 class Options:
     """iterations: a buckling cloth takes up to 300 from a flat start. sufficient: share of the predicted decrease
-    that a step must reach (Armijo; Nocedal & Wright 2006). shortest: relative step length at which the search gives
+    that a step must reach (Armijo; Nocedal & Wright 2006). steep: share of the slope left after a whole step from
+    which on a longer one is tried (their curvature condition). shortest: relative step length at which the search gives
     up. patience: steps after which an indefinite exact Hessian is tried again at most; near the end it is what
     converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
     watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds."""
 
     iterations: int = 500
     sufficient: float = 1e-4
+    steep: float = 0.5
     shortest: float = 1e-10
     patience: int = 2
     noise: float = 1e-11
@@ -100,6 +102,8 @@ class Iterate:
                 reason = _REASON.DIVERGED_LINEAR_SOLVE
                 break
             length, new_energy = self._search(y, direction, energy, norm, slope, trial, trial_residual)
+            if problem.conservative and length == 1.0:
+                length, new_energy = self._lengthen(y, direction, new_energy, slope, trial, trial_residual)
             if length == 0.0:
                 reason = 0 if self._regularise() else _REASON.DIVERGED_LINE_SEARCH
                 continue
@@ -222,6 +226,28 @@ class Iterate:
             guess = -0.5 * predicted * length / (decrease - predicted) if decrease > predicted else 0.0
             length = min(max(guess, 0.1 * length), 0.5 * length)
         return 0.0, energy
+
+    def _lengthen(self, y, direction, energy, slope, trial, trial_residual) -> tuple[float, float]:
+        """Doubles a whole step, to trial where the potential is `energy`, while that falls on nearly as steeply. Off a
+        saddle the safe matrix is far stiffer than the way down, which whole steps would take in hundreds of parts.
+        Returns the length and the potential there."""
+        problem, options = self.problem, self.options
+        further, further_residual, step = trial.duplicate(), trial.duplicate(), direction.copy()
+        length, noise = 1.0, options.noise * abs(energy)
+        while trial_residual.dot(direction) < options.steep * slope:
+            step.scale(2.0)
+            if problem.longest_step(y, step) < 1.0:
+                break
+            further.waxpy(1.0, step, y)
+            new = self._energy(further)
+            problem.residual(further, further_residual)
+            falls = new - energy <= options.sufficient * length * slope
+            if not (falls or (new - energy <= noise and further_residual.dot(direction) <= 0.0)):
+                break
+            length, energy = 2.0 * length, new
+            further.copy(trial)
+            further_residual.copy(trial_residual)
+        return length, energy
 
     def _flat_enough(self, new_slope: float, slope: float, new_norm: float, norm: float) -> bool:
         if self.problem.conservative:
