@@ -9,8 +9,10 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile import _kernels
+from voile.errors import InputError
 from voile.mesh.stitches import Stitches, join, sewing_matrix
 from voile.mesh.topology import Topology, build_topology
+from voile.problem.clamps import held_directors
 from voile.problem.prolongation import Prolongation, start_shape
 from voile.problem.shell import Shell, triangle_areas
 
@@ -19,8 +21,11 @@ WORTH = 0.7  # of the vertices: a level that keeps more is none
 
 
 def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | None:
-    """A shell of about ratio times as many vertices and of the same mass, and its prolongation; None where it keeps
-    most of them, or where moments act on half edges."""
+    """A shell of about ratio times as many vertices and of the same mass, and its prolongation.
+
+    None where it keeps most of them, where moments act on half edges, or where coarse triangles do not meet a plane of
+    symmetry as its clamps ask.
+    """
     if shell.moment is not None:
         return None
     seams = _Seams(shell)
@@ -82,7 +87,18 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     coarse.density *= _mass(shell) / _mass(coarse)  # flat facets cut corners off
     if shell.closing is not None:
         coarse.closing = _closing(coarse, start[kept])
-    return coarse, prolongation
+    return (coarse, prolongation) if _holds(coarse) else None
+
+
+def _holds(shell: Shell) -> bool:
+    """Whether the clamps of a coarse shell can be held."""
+    top = shell.topology
+    parts = (shell.triangles, top.triangle_edges, top.signs, top.across, len(top.edges), shell.points)
+    try:
+        held_directors(shell, _kernels.Elastic(shell.model, *parts).directors)
+    except InputError:
+        return False
+    return True
 
 
 def _ints(values: np.ndarray) -> np.ndarray:
