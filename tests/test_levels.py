@@ -212,9 +212,9 @@ def test_a_smooth_shape_comes_back_smooth():
 def test_supports_take_what_they_hold():
     points, triangles = sheet(16, 16)
     shell = make_shell(points, triangles)
-    shell.motion = 0.2 * shell.fixed * points[:, [1, 1, 1]] ** 2
+    shell.motion = 0.2 * shell.fixed * points[:, [1, 1, 1]] ** 2  # one support, though no two move alike
     level = coarsen(shell)
-    assert level is not None
+    assert level is not None and 3 <= level[0].fixed.all(axis=1).sum() < 0.7 * shell.fixed.all(axis=1).sum()
     at = level[1].positions(level[0].points + level[0].motion, load_factor=0.5)
     np.testing.assert_array_equal(at[shell.fixed], (points + 0.5 * shell.motion)[shell.fixed])
 

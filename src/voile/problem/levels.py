@@ -17,6 +17,7 @@ from voile.problem.prolongation import Prolongation, start_shape
 from voile.problem.shell import Shell, triangle_areas
 
 BORDER, CUT, CLAMP, FABRIC, SUPPORT = 1, 2, 4, 8, 16  # kinds of feature lines, as in coarsen.hpp
+APART = 0.5  # no support stretches the surface by more; two that move apart do
 WORTH = 0.7  # of the vertices: a level that keeps more is none
 
 
@@ -129,10 +130,15 @@ def _charts(shell: Shell) -> np.ndarray:
 
 
 def _supports(shell: Shell) -> np.ndarray:
-    """(n,) equal numbers for vertices that are held alike, 0 for free ones."""
-    held = np.column_stack([shell.fixed, np.where(shell.fixed, shell.motion, 0.0)])
-    rows = np.unique(np.vstack([np.zeros((1, 6)), held]), axis=0, return_inverse=True)[1].ravel()
-    return np.where(rows == rows[0], 0, 1 + rows)[1:]
+    """(n,) equal numbers for vertices of one support, 0 for free ones: neighbours that are held along the same axes and
+    moved apart by less than APART of their distance."""
+    n = len(shell.points)
+    i, j = build_topology(shell.triangles).edges.T
+    same = (shell.fixed[i] == shell.fixed[j]).all(axis=1)
+    moved = np.linalg.norm((shell.motion * shell.fixed)[i] - (shell.motion * shell.fixed)[j], axis=1)
+    same &= moved <= APART * np.linalg.norm(shell.points[i] - shell.points[j], axis=1)
+    graph = sp.csr_matrix((same[same].astype(float), (i[same], j[same])), shape=(n, n))
+    return np.where(shell.fixed.any(axis=1), 1 + connected_components(graph, directed=False)[1], 0)
 
 
 def _fans(shell: Shell) -> np.ndarray:
