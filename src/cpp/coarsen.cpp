@@ -53,7 +53,7 @@ Coarsener::Coarsener(const FineMesh& mesh, int target)
 }
 
 void Coarsener::measure() {
-  for (int shape : {0, 1}) {
+  for (int shape = surface_.first_shape; shape < 2; ++shape) {
     const std::vector<int>& corner = surface_.corner[shape];
     size_t count = (shape ? mesh_.rest : mesh_.start).size() / 3;
     loss_[shape].resize(count), line_loss_[shape].resize(count);
@@ -169,7 +169,7 @@ double Coarsener::price(Move move) const {
   double longest = 0.0, quality = 1.0, before = 1.0, lost = 0.0;
   bool on_line = surface_.lines[u].size();
   double bound = on_line && surface_.lines[u][0].kind & (BORDER | CUT | CLAMP) ? DEEP : STEPS;
-  for (int shape : {0, 1}) {
+  for (int shape = surface_.first_shape; shape < 2; ++shape) {
     double unit = size_[shape] * size_[shape];
     const std::vector<int>& corner = surface_.corner[shape];
     for (int t : surface_.around[u]) {
@@ -196,14 +196,12 @@ double Coarsener::price(Move move) const {
 }
 
 void Coarsener::collapse(Move move) {
-  Pairs rest = surface_.collapse(move);
-  rest.push_back({move.from, move.to});
-  for (size_t i = 0; i < rest.size(); ++i) {
-    auto [old, now] = rest[i];
-    int shape = i + 1 < rest.size();
+  auto merge = [&](int shape, int old, int now) {
     loss_[shape][now].add(loss_[shape][old]);
     line_loss_[shape][now].add(line_loss_[shape][old]);
-  }
+  };
+  for (auto [old, now] : surface_.collapse(move)) merge(1, old, now);
+  if (surface_.first_shape == 0) merge(0, move.from, move.to);
 }
 
 }  // namespace

@@ -25,11 +25,15 @@ Surface::Surface(const FineMesh& fine)
       hang_weight_(fine.hang_weight.begin(), fine.hang_weight.end()),
       hosts_(fine.vertices()),
       hangs_(fine.vertices()),
+      in_group_(fine.vertices(), 0),
       mark_(fine.vertices(), 0) {
   corner[0].assign(fine.corner.begin(), fine.corner.end());
   corner[1].assign(fine.rest_corner.begin(), fine.rest_corner.end());
+  first_shape = corner[0] == corner[1] &&
+                std::equal(fine.start.begin(), fine.start.end(), fine.rest.begin(), fine.rest.end());
   for (int shape : {0, 1})
     if (fine.triangles()) origin_[shape] = at(shape, 0, 0);  // near the surface, for the digits of its shape
+  for (int group : fine.group) in_group_[group]++;
   for (size_t k = 0; k < corner[0].size(); ++k) around[corner[0][k]].push_back((int)(k / 3));
   for (size_t f = 0; f < fine.kind.size(); ++f) {
     int a = fine.feature[2 * f], b = fine.feature[2 * f + 1];
@@ -56,7 +60,8 @@ bool Surface::follows_line(Move move) const {
   return lines[u][0].kind == lines[u][1].kind && !line(b, v) && mesh.group[b] != mesh.group[v];
 }
 
-// Whether what is sewn to the border at u can stay sewn to it.
+// Whether what is sewn to the border at u can stay sewn to it, and what u is sewn to is sewn to something
+// else.
 bool Surface::follows_seams(Move move) const {
   auto [u, v] = move;
   int b = next(move);
@@ -66,7 +71,21 @@ bool Surface::follows_seams(Move move) const {
     int other = record[1] == u ? record[2] : record[1], group = mesh.group[record[0]];
     if ((other != v && other != b) || group == mesh.group[v] || group == mesh.group[b]) return false;
   }
+  for (int k : hangs_[u])
+    if (hang_[3 * k] >= 0 && !(sewn_beside(hang_[3 * k + 1], k) && sewn_beside(hang_[3 * k + 2], k)))
+      return false;
   return true;
+}
+
+// Whether a vertex is sewn to others by more than one record.
+bool Surface::sewn_beside(int vertex, int record) const {
+  if (in_group_[mesh.group[vertex]] > 1) return true;
+  for (int k : hangs_[vertex])
+    if (hang_[3 * k] >= 0) return true;
+  for (int k : hosts_[vertex])
+    if (k != record && hang_[3 * k] >= 0 && (hang_[3 * k + 1] == vertex || hang_[3 * k + 2] == vertex))
+      return true;
+  return false;
 }
 
 // Whether the mesh stays a surface: the link condition, nothing left without a triangle, no two sewn to one
@@ -213,6 +232,7 @@ bool Surface::flip(int t, int k) {
     int ia = of(t, a), ib = of(t, b), ic = of(t, c), id = of(s, d);
     int corners[2][3] = {{ia, id, ic}, {id, ib, ic}};
     std::copy(&corners[0][0], &corners[0][0] + 6, &now[shape][0][0]);
+    if (shape < first_shape) continue;
     Facet old[] = {facet(shape, t), facet(shape, s)};
     for (const auto& triangle : corners) {
       Facet fresh(point(shape, triangle[0]), point(shape, triangle[1]), point(shape, triangle[2]));

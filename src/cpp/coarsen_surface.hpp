@@ -27,6 +27,7 @@ class Surface {
   std::vector<std::vector<Line>> lines;  // (n) feature lines at a vertex
   std::vector<char> gone;                // (n)
   int left;                              // vertices
+  int first_shape;  // 1 where the start shape is the rest shape: what holds of one does of the other
 
   Vec point(int shape, int index) const {
     const double* x = (shape ? mesh.rest : mesh.start).data() + 3 * (size_t)index;
@@ -68,6 +69,7 @@ class Surface {
   std::vector<int> hang_;              // the mesh's, -1 for the slave where the record is gone
   std::vector<double> hang_weight_;
   std::vector<std::vector<int>> hosts_, hangs_;  // (n) records with a vertex as an end, as the slave
+  std::vector<int> in_group_;                    // vertices of a group
   mutable std::vector<int> mark_;                // (n)
   mutable int stamp_ = 0;
 
@@ -75,6 +77,7 @@ class Surface {
   int next(Move move) const { return lines[move.from][lines[move.from][0].other == move.to].other; }
   bool follows_line(Move move) const;
   bool follows_seams(Move move) const;
+  bool sewn_beside(int vertex, int record) const;
   bool stays_surface(Move move) const;
   void slide_seams(Move move);
   void relocate(const std::vector<int>& points, const std::vector<int>& triangles);

@@ -4,65 +4,33 @@ Half edges are collapsed (src/cpp/coarsen.hpp), so coarse vertices are fine ones
 picking. Borders, cuts, fabrics, clamps, supports and seams keep their places.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile import _kernels
+from voile.errors import InputError
 from voile.mesh.stitches import Stitches, join, sewing_matrix
 from voile.mesh.topology import Topology, build_topology
+from voile.problem.clamps import held_directors
+from voile.problem.prolongation import Prolongation, start_shape
 from voile.problem.shell import Shell, triangle_areas
 
 BORDER, CUT, CLAMP, FABRIC, SUPPORT = 1, 2, 4, 8, 16  # kinds of feature lines, as in coarsen.hpp
+APART = 0.5  # no support stretches the surface by more; two that move apart do
 WORTH = 0.7  # of the vertices: a level that keeps more is none
 
 
-@dataclass
-class Prolongation:
-    """Carries shapes of a coarse mesh (nc vertices) to the fine one (nf) that it was made of.
-
-    kept (nc,): fine vertex that each coarse one is. Every fine vertex lies at barycentric weights (nf, 3) of the
-    coarse vertices corners (nf, 3), those of the rest shape, and off that point by offset (nf, 3) m in the triangle's
-    frame: along its first edge, in its plane, along its normal. Offsets are those of the start shape.
-    """
-
-    kept: np.ndarray
-    corners: np.ndarray
-    weights: np.ndarray
-    offset: np.ndarray
-
-    def positions(self, coarse: np.ndarray) -> np.ndarray:
-        """(nf, 3) the fine shape to a coarse one (nc, 3) m: kept vertices where the coarse ones are."""
-        fine = self.interpolate(coarse)
-        fine += np.einsum("nij,nj->ni", _frames(coarse[self.corners]), self.offset)
-        fine[self.kept] = coarse
-        return fine
-
-    def interpolate(self, field: np.ndarray) -> np.ndarray:
-        """(nf, ...) a coarse field (nc, ...), linear in every coarse triangle."""
-        return np.einsum("nk,nk...->n...", self.weights, field[self.corners])
-
-    def restrict(self, field: np.ndarray) -> np.ndarray:
-        """(nc, ...) a fine field (nf, ...) at the kept vertices."""
-        return field[self.kept]
-
-    def gather(self, load: np.ndarray) -> np.ndarray:
-        """(nc, ...) coarse loads to fine ones (nf, ...) of the same work: the transpose of `interpolate`."""
-        fine = np.repeat(np.arange(len(self.corners)), 3)
-        shape = len(self.kept), len(self.corners)
-        transpose = sp.csr_matrix((self.weights.ravel(), (self.corners.ravel(), fine)), shape=shape)
-        return transpose @ load
-
-
 def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | None:
-    """A shell of about ratio times as many vertices and of the same mass, and its prolongation; None where it keeps
-    most of them, or where moments act on half edges."""
+    """A shell of about ratio times as many vertices and of the same mass, and its prolongation.
+
+    None where it keeps most of them, where moments act on half edges, or where coarse triangles do not meet a plane of
+    symmetry as its clamps ask.
+    """
     if shell.moment is not None:
         return None
     seams = _Seams(shell)
-    start = shell.points if shell.closing is None else shell.points + shell.closing
+    start = start_shape(shell)
     solid = _clamped(shell).all(axis=1)
     feature, kind = _features(shell, solid)
     triangle, corner, rest_corner, home, weight, feature, kind, hang, hang_weight = _kernels.coarsen(
@@ -88,11 +56,8 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     number[kept] = np.arange(len(kept))
     corners = number[corner[home]]
     corners[loose], weight[loose] = number[loose][:, None], (1.0, 0.0, 0.0)
-    at = np.einsum("nk,nki->ni", weight, start[kept][corners])
-    offset = np.einsum("nji,nj->ni", _frames(start[kept][corners]), start - at)
-    offset[kept] = 0.0
-    prolongation = Prolongation(kept, corners, weight, offset)
     triangles = number[corner].astype(np.int32)
+    prolongation = Prolongation(shell, kept, triangles, corners, weight)
     rest_kept, rest_triangles = kept, triangles
     if not np.array_equal(corner, rest_corner):
         rest_kept, rest_triangles = np.unique(rest_corner, return_inverse=True)
@@ -123,23 +88,22 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     coarse.density *= _mass(shell) / _mass(coarse)  # flat facets cut corners off
     if shell.closing is not None:
         coarse.closing = _closing(coarse, start[kept])
-    return coarse, prolongation
+    return (coarse, prolongation) if _holds(coarse) else None
+
+
+def _holds(shell: Shell) -> bool:
+    """Whether the clamps of a coarse shell can be held."""
+    top = shell.topology
+    parts = (shell.triangles, top.triangle_edges, top.signs, top.across, len(top.edges), shell.points)
+    try:
+        held_directors(shell, _kernels.Elastic(shell.model, *parts).directors)
+    except InputError:
+        return False
+    return True
 
 
 def _ints(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, dtype=np.int32)
-
-
-def _frames(corners: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) columns: unit vectors along the first edge, across it in the plane, and normal of triangles (n, 3, 3);
-    zero where there are none."""
-    along = _unit(corners[:, 1] - corners[:, 0])
-    normal = _unit(np.cross(along, corners[:, 2] - corners[:, 0]))
-    return np.stack([along, np.cross(normal, along), normal], axis=2)
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
 
 
 def _mass(shell: Shell) -> float:
@@ -166,10 +130,15 @@ def _charts(shell: Shell) -> np.ndarray:
 
 
 def _supports(shell: Shell) -> np.ndarray:
-    """(n,) equal numbers for vertices that are held alike, 0 for free ones."""
-    held = np.column_stack([shell.fixed, np.where(shell.fixed, shell.motion, 0.0)])
-    rows = np.unique(np.vstack([np.zeros((1, 6)), held]), axis=0, return_inverse=True)[1].ravel()
-    return np.where(rows == rows[0], 0, 1 + rows)[1:]
+    """(n,) equal numbers for vertices of one support, 0 for free ones: neighbours that are held along the same axes and
+    moved apart by less than APART of their distance."""
+    n = len(shell.points)
+    i, j = build_topology(shell.triangles).edges.T
+    same = (shell.fixed[i] == shell.fixed[j]).all(axis=1)
+    moved = np.linalg.norm((shell.motion * shell.fixed)[i] - (shell.motion * shell.fixed)[j], axis=1)
+    same &= moved <= APART * np.linalg.norm(shell.points[i] - shell.points[j], axis=1)
+    graph = sp.csr_matrix((same[same].astype(float), (i[same], j[same])), shape=(n, n))
+    return np.where(shell.fixed.any(axis=1), 1 + connected_components(graph, directed=False)[1], 0)
 
 
 def _fans(shell: Shell) -> np.ndarray:
