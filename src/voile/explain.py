@@ -6,6 +6,7 @@ from voile import blas
 from voile.elastic import MODELS, has_directors
 from voile.problem.shell import Shell
 from voile.scene import Scene
+from voile.solver.nested import Options
 from voile.wiring import Model, weight
 
 REPEATED = 0.1  # shapes per triangle below which a mesh repeats its cells; irregular meshes have 0.5 to 1
@@ -81,6 +82,7 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ("contact", bool(model.obstacles), _contact(model)),
         ("self-contact", scene.contact.self_contact, _self_contact(scene, model)),
         ("friction", any(mu > 0.0 for _, mu in _frictions(scene, model)), _friction(scene, model)),
+        ("nested levels", *_nested(scene, model)),
         (
             "mass",
             False,
@@ -108,6 +110,33 @@ def _solver(scene: Scene, model: Model) -> str:
         return f"{search}Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
     ways = "semismooth Newton (then augmented Lagrangian, then pseudo-time)"
     return f"{search}{ways}, MUMPS LDL^T, LU where something slips"
+
+
+def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
+    """Whether coarser levels of the mesh are solved first, and why (see solver.nested.pays)."""
+    shell, options, statics = model.shell, Options(), scene.statics
+    moves = bool(shell.motion.any()) or any(body.motion.moves for body in model.obstacles)
+    against = {
+        f"task = {scene.scene.task!r}": scene.scene.task != "statics",
+        "statics.nested is false": not statics.nested,
+        "statics.load_steps is given": statics.load_steps is not None,
+        "supports or obstacles move": moves,
+        "layers are kept apart": scene.contact.self_contact,
+        "friction remembers how a held shell is loaded": bool(model.obstacles) and bool(shell.fixed.any()),
+        "loads without potential": shell.moment is not None or bool(shell.pressure),
+        f"under {options.smallest} vertices": len(shell.points) <= options.smallest,
+    }
+    reason = next((reason for reason, holds in against.items() if holds), "")
+    if reason:
+        return False, reason
+    count, levels = len(shell.points), []
+    while count > options.smallest:
+        count = round(options.ratio * count)
+        levels.append(f"{count}")
+    return (
+        True,
+        f"of about {' and '.join(levels[::-1])} vertices, where a load step fails; statics.nested = false",
+    )
 
 
 def _contact(model: Model) -> str:

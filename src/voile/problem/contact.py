@@ -144,7 +144,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     counts = comm.allreduce(np.array([(state > FREE).sum(), (state == STICK).sum(), (state == SLIP).sum()]))
     inside = problem.own & contact.movable
     depth = comm.allreduce(abs(float(np.min(fields["gap"][inside], initial=0.0))), op=MPI.MAX)
-    area = _vertex_areas(problem)
+    area = vertex_areas(problem)
     totals, touching = np.zeros((len(contact.obstacles), 8)), 0
     for pairs in contact.pairs(x, factor):
         normal, friction = contact.project(pairs)
@@ -190,7 +190,7 @@ def contact_of(problem: Problem) -> Contact:
     return problem.contact
 
 
-def _vertex_areas(problem: Problem) -> np.ndarray:
+def vertex_areas(problem: Problem) -> np.ndarray:
     """(local vertices,) a third of the rest triangles around (m^2); complete for this rank's own."""
     part = problem.part
     area = triangle_areas(part.rest_points, part.rest_corners) / 3.0

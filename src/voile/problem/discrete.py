@@ -34,7 +34,7 @@ class Problem:
     """
 
     def __init__(self, shell: Shell | None, comm: MPI.Comm = MPI.COMM_WORLD):
-        self.comm = comm
+        self.comm, self.shell = comm, shell
         settings = None
         if shell is not None:
             gravity, pressure = np.asarray(shell.gravity, float), float(shell.pressure)

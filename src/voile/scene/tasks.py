@@ -26,6 +26,9 @@ class Statics:
     tolerance: float = key(
         Number(above=0, below=1), "norm of the residual over the norm of the load", default=1e-8
     )
+    nested: bool = key(
+        Boolean(), "coarser levels of the mesh first, where only loads lead the shell", default=True
+    )
     stability: bool = key(Boolean(), "test whether the end state is stable", default=True)
     eigenvalue: bool = key(Boolean(), "also its smallest eigenvalue", default=False)
 

@@ -15,6 +15,7 @@ from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
 from voile.problem.scales import round_off
 from voile.solver.cascade import Cascade, attempt
+from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
 from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
 from voile.solver.methods.complementarity import OPTION, Complementarity
@@ -22,10 +23,12 @@ from voile.solver.methods.descent import Descent
 from voile.solver.methods.descent import Options as DescentOptions
 from voile.solver.methods.method import Method, Outcome, Workspace
 from voile.solver.methods.mixed_newton import MixedNewton
+from voile.solver.methods.mixed_newton import Options as MixedOptions
 from voile.solver.methods.off_saddle import OffSaddle
 from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
 from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.tied import Tied
+from voile.solver.nested import Nested, pays
 from voile.solver.path import StaticsOptions
 
 # Patience of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8.
@@ -38,8 +41,8 @@ class Solver:
     """Finds the equilibrium of a problem at its load factor. `norm`: the last one's residual (N; with contact also the
     mismatch of its laws); `negative`: eigenvalues of its tangent, None where not known."""
 
-    def __init__(self, problem: Problem, options: StaticsOptions):
-        self.problem, self.work = problem, Workspace(problem)
+    def __init__(self, problem: Problem, options: StaticsOptions, counts: Counts | None = None):
+        self.problem, self.work = problem, Workspace(problem, counts)
         self.perturbation = options.perturbation * problem.thickness()
         self.descent = Descent(self.work)
         self.norm = np.inf
@@ -48,10 +51,11 @@ class Solver:
         if problem.contact:
             self._for_contact(problem, options)
         else:
-            self.mixed = MixedNewton(self.work)
-            minimum = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
+            nested = options.nested and pays(problem)
+            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if nested else None)
+            minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
             self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.fast else minimum])
-            self.all = Cascade([minimum])
+            self.all = Cascade([*self._nested(minimum, options), minimum])
 
     def _for_contact(self, problem: Problem, options: StaticsOptions) -> None:
         work, descent, off = self.work, self.descent, self.perturbation
@@ -66,11 +70,19 @@ class Solver:
         firm = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
         self.off_saddle = OffSaddle(work, firm, transient, off)
         near: list[Method] = [first, tied] if options.fast else [tied, first]
+        if options.fast:
+            near[1:1] = self._nested(transient, options)
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
             later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
         self.near = Cascade(near, self.off_saddle)
         self.all = Cascade([*near, *later], self.off_saddle)
+
+    def _nested(self, fine: Method, options: StaticsOptions) -> list[Method]:
+        """Nested iteration around a method, where it pays."""
+        if not (options.nested and pays(self.problem)):
+            return []
+        return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).all)]
 
     def solve(self, y: PETSc.Vec, wanted: float, last_resort: bool, watched: bool = False) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.

@@ -18,7 +18,8 @@ class StaticsOptions:
     """load_steps: first step is 1/load_steps, None: see the function `load_steps`; max_steps: attempts in all;
     perturbation off unstable branches in thicknesses; tolerance: residual over the load's norm; stability: test the end
     state, eigenvalue: with its smallest eigenvalue; fast: full steps before the descent method, which are of no use
-    from a start that strains the shell far beyond its equilibrium."""
+    from a start that strains the shell far beyond its equilibrium; nested: coarser levels of the mesh first, where
+    that pays (see solver.nested)."""
 
     load_steps: int | None = None
     max_steps: int = 1000
@@ -27,6 +28,7 @@ class StaticsOptions:
     stability: bool = True
     eigenvalue: bool = False
     fast: bool = True
+    nested: bool = False
 
 
 @dataclass

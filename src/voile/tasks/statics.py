@@ -9,7 +9,13 @@ def run(job: Run) -> str:
     """Solves a statics scene and writes its results; the reason why it did not converge, or empty."""
     s = job.scene.statics
     options = StaticsOptions(
-        s.load_steps, s.max_steps, s.perturbation, s.tolerance, s.stability, s.eigenvalue
+        s.load_steps,
+        s.max_steps,
+        s.perturbation,
+        s.tolerance,
+        s.stability,
+        s.eigenvalue,
+        nested=s.nested and s.load_steps is None,
     )
     shell, problem = job.prepare()
     with job.results(job.mesh(shell, problem.directors)) as writer:

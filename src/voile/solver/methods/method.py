@@ -43,9 +43,9 @@ class Workspace:
     `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, counts: Counts | None = None):
         self.comm, self.monitor = problem.comm, problem.monitor
-        self.matrix, self.counts = problem.create_matrix(), Counts()
+        self.matrix, self.counts = problem.create_matrix(), counts or Counts()
         set_defaults(DEFAULTS)
         ksp = PETSc.KSP().create(comm=problem.comm)
         ksp.setType(PETSc.KSP.Type.PREONLY if problem.conservative else PETSc.KSP.Type.GMRES)

@@ -19,6 +19,7 @@ from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Outcome
+from voile.solver.nested import pays
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
@@ -54,6 +55,8 @@ class LoadPath:
         path.counts = self.solver.work.counts
         contact = problem.contact
         cuts = self.options.cuts if problem.conservative else self.options.patient
+        if not contact and options.nested and pays(problem):
+            cuts = 1  # its descents start from coarser levels, not from the last load step
         if contact:
             cuts = self.options.cuts if problem.supported else 0  # a smaller load holds nothing better
         first = 1.0 / load_steps(problem, options)

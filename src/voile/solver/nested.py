@@ -1,0 +1,147 @@
+"""Nested iteration: a coarser level of the shell finds the folds, where an iteration is cheap; the fine one starts
+from its shape and reactions, and has only the details left.
+
+A coarse mesh is too stiff to fold: facets of edges H bent by a curvature k strain by (k H)^2, which costs H^4 times
+what it costs the smooth surface. A level's membrane is therefore softened by the fourth power of the ratio of the
+edges, its bending is not; its folds are then about as deep as those of the fine level.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.problem.contact import attach, contact_of, vertex_areas
+from voile.problem.discrete import Problem
+from voile.problem.levels import coarsen
+from voile.problem.partition import gathered
+from voile.problem.prolongation import Prolongation
+from voile.problem.rest import field_vector
+from voile.problem.shell import Shell
+from voile.solver.methods.method import Method, Outcome
+
+
+@dataclass
+class Options:
+    """ratio: of the vertices, from level to level. smallest: vertices that are not worth a level; they take under a
+    second. rough: tolerance of a level over its loads, without contact: what is sharper is lost on the next level;
+    with 1e-2 folds are not yet made. faint: share of the
+    largest carried reaction that is none."""
+
+    ratio: float = 0.25
+    smallest: int = 500
+    rough: float = 1e-4
+    faint: float = 1e-3
+
+
+def pays(problem: Problem, options: Options | None = None) -> bool:
+    """Whether the mesh is large and only its loads lead the shell: no path of supports or obstacles, which friction
+    and branches remember; no layers in each other's way, which a level would carry through each other."""
+    contact = problem.contact
+    led = problem.moves or (
+        contact is not None and (problem.held or contact.moves or contact.itself is not None)
+    )
+    count = problem.comm.allreduce(int(problem.own.sum()))
+    return problem.conservative and not led and count > (options or Options()).smallest
+
+
+class Nested:
+    """Solves the next coarser level by `solver(level)`, which may be nested again, then the problem by `fine`. Both
+    are told where a level's shape has no use: its reason is that of `fine` then."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        fine: Method,
+        solver: Callable[[Problem], Method],
+        options: Options | None = None,
+    ):
+        self.problem, self.fine, self.solver = problem, fine, solver
+        self.options = options or Options()
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        if self.level is None:
+            return Outcome(False, "nested", "no coarser level")
+        coarse, method = self.level
+        coarse.load_factor = problem.load_factor
+        z = self._restrict(y)
+        loads = coarse.load_norm(z)
+        wanted = tolerance * loads / problem.load_norm(y)
+        found = method.solve(coarse, z, wanted if coarse.contact else max(self.options.rough * loads, wanted))
+        if not found.converged:
+            return replace(found, method="nested", gone=False)
+        self._carry(z, y)
+        outcome = self.fine.solve(problem, y, tolerance)
+        return replace(outcome, method=f"nested {outcome.method}")
+
+    @cached_property
+    def _coarsened(self) -> tuple[Shell, Prolongation] | None:
+        """Rank 0's."""
+        made = coarsen(self.problem.shell, self.options.ratio) if self.problem.shell else None
+        return made and (_softened(made[0], len(made[1].kept) / len(made[1].corners)), made[1])
+
+    @cached_property
+    def level(self) -> tuple[Problem, Method] | None:
+        """The next coarser problem and what solves it; None where the mesh has no coarser one."""
+        made = self._coarsened
+        if not self.problem.comm.bcast(made is not None):
+            return None
+        coarse, contact = Problem(made and made[0], self.problem.comm), self.problem.contact
+        coarse.monitor = self.problem.monitor
+        if contact:
+            attach(coarse, contact.obstacles, np.max(contact.offset, axis=1, keepdims=True))
+        return coarse, self.solver(coarse)
+
+    def _restrict(self, y: PETSc.Vec) -> PETSc.Vec:
+        """The level's unknowns at the problem's shape, its contact without memory."""
+        assert self.level
+        coarse, made = self.level[0], self._coarsened
+        table = gathered(self.problem, self.problem.positions(y))
+        shape = None if table is None or made is None else made[1].restrict(table)
+        shape = coarse.comm.bcast(shape)
+        z = coarse.create_vector()
+        z.axpy(1.0, field_vector(coarse, shape[coarse.part.vertex] - coarse.positions(z)))
+        if coarse.contact:
+            coarse.contact.begin(coarse.positions(z), coarse.load_factor)
+        return z
+
+    def _carry(self, z: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y moves to the level's shape; contact gets its reactions, as pressures."""
+        assert self.level
+        (coarse, _), problem, made = self.level, self.problem, self._coarsened
+        contact, columns = coarse.contact, [coarse.positions(z)]
+        for k in range(len(contact.obstacles) if contact else 0):
+            assert contact is not None
+            area = vertex_areas(coarse)[:, None]
+            columns += [contact.state.normal[k][:, None] / area, contact.state.friction[k] / area]
+        table = gathered(coarse, np.hstack(columns))
+        if table is not None and made is not None:
+            table = np.hstack([made[1].positions(table[:, :3]), made[1].interpolate(table[:, 3:])])
+        table = problem.comm.bcast(table)[problem.part.vertex]
+        y.axpy(1.0, field_vector(problem, table[:, :3] - problem.positions(y)))
+        if problem.contact:
+            self._press(table[:, 3:])
+
+    def _press(self, table: np.ndarray) -> None:
+        """Reactions from pressures and shears (local vertices, 4 per obstacle) N/m^2."""
+        state, area = contact_of(self.problem).state, vertex_areas(self.problem)
+        for k in range(table.shape[1] // 4):
+            pressure, shear = table[:, 4 * k], table[:, 4 * k + 1 : 4 * k + 4]
+            largest = self.problem.comm.allreduce(float(pressure.max(initial=0.0)), op=MPI.MAX)
+            bears = np.where(pressure > self.options.faint * largest, area, 0.0)
+            state.normal[k], state.friction[k] = bears * pressure, bears[:, None] * shear
+
+
+def _softened(shell: Shell, share: float) -> Shell:
+    """A level with a share of the finer one's vertices: its membrane divided by 1/share^2 = (H/h)^4, with the bending
+    stiffness and the mass kept."""
+    soft, shell = share**-2, copy.copy(shell)
+    shell.young = shell.young * soft**-1.5
+    shell.thickness = shell.thickness * soft**0.5
+    shell.density = shell.density * soft**-0.5
+    return shell
