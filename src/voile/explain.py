@@ -122,7 +122,6 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         "statics.load_steps is given": statics.load_steps is not None,
         "supports or obstacles move": moves,
         "layers are kept apart": scene.contact.self_contact,
-        "friction remembers how a held shell is loaded": bool(model.obstacles) and bool(shell.fixed.any()),
         "loads without potential": shell.moment is not None or bool(shell.pressure),
         f"under {options.smallest} vertices": len(shell.points) <= options.smallest,
     }

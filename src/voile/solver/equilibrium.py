@@ -11,9 +11,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
-from voile.problem.scales import round_off
 from voile.solver.cascade import Cascade, attempt
 from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
@@ -27,13 +27,13 @@ from voile.solver.methods.mixed_newton import Options as MixedOptions
 from voile.solver.methods.off_saddle import OffSaddle
 from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
 from voile.solver.methods.semismooth import Semismooth, law_norms
+from voile.solver.methods.steps import to_round_off
 from voile.solver.methods.tied import Tied
 from voile.solver.nested import Nested, pays
 from voile.solver.path import StaticsOptions
 
 # Patience of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8.
 ROUGH_PATIENCE = 8
-WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 
 
@@ -74,7 +74,9 @@ class Solver:
             near[1:1] = self._nested(transient, options)
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
-            later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
+            lagrangian = AugmentedLagrangian(descent, self.semismooth, off)
+            led = problem.moves or contact_of(problem).moves  # a cut costs another equilibrium then
+            (near if led else later).insert(len(near) if led else 0, lagrangian)
         self.near = Cascade(near, self.off_saddle)
         self.all = Cascade([*near, *later], self.off_saddle)
 
@@ -156,10 +158,7 @@ class Sharpened:
             return outcome
         problem.rebase(y)
         outcome = self.method.solve(problem, y, tolerance)
-        norm, computed = self.newton.nonlinear.norm, round_off(problem, y)[1]
-        if not self.newton.stalled or computed < tolerance or norm > WORTH * tolerance:
-            return outcome
         reason = (
-            f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"
+            to_round_off(problem, y, self.newton.nonlinear.norm, tolerance) if self.newton.stalled else ""
         )
-        return Outcome(True, outcome.method, reason)
+        return Outcome(True, outcome.method, reason) if reason else outcome

@@ -42,9 +42,7 @@ def pays(problem: Problem, options: Options | None = None) -> bool:
     """Whether the mesh is large and only its loads lead the shell: no path of supports or obstacles, which friction
     and branches remember; no layers in each other's way, which a level would carry through each other."""
     contact = problem.contact
-    led = problem.moves or (
-        contact is not None and (problem.held or contact.moves or contact.itself is not None)
-    )
+    led = problem.moves or (contact is not None and (contact.moves or contact.itself is not None))
     count = problem.comm.allreduce(int(problem.own.sum()))
     return problem.conservative and not led and count > (options or Options()).smallest
 

@@ -82,7 +82,7 @@ def load_steps(problem: Problem, options: StaticsOptions) -> int:
     """Those of the options; else 10, or 1 for a shell that lies on what does not move: nothing leads it through partial
     loads."""
     contact = problem.contact
-    falls = contact is not None and not (problem.held or contact.moves)
+    falls = contact is not None and not (problem.moves or contact.moves)
     return options.load_steps or (1 if falls else STEPS)
 
 

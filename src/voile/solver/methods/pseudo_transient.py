@@ -8,6 +8,7 @@ semismooth method finishes without it. A shell that nothing holds slides on and 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, leads_through
@@ -30,7 +31,8 @@ class Options:
 
     steps at most. first_rate: a step of 0.3 sqrt(size/g), the longest that descents finish in some 40
     iterations on sheets over a ball (0.5 takes twice as many in all). fresh_rate: while no contact bears yet there is
-    no friction either; such a step must move less than `fresh` sizes, which it does at this rate. last_rate: hopeless.
+    no friction either; such a step must move less than `fresh` sizes, which it does at this rate, and twice
+    what supports move. last_rate: hopeless.
     fade: of the rate after a fair step, its square after an easy one, of at most so many iterations; raise_: after one
     that failed. iterations of a descent; rough: its tolerance over the loads or the norm that it starts with; drapes
     take half as many iterations as with 0.1. sharpest: over the loads, no step needs less, and differences of the
@@ -152,6 +154,7 @@ class PseudoTransient:
         many iterations); None where it failed."""
         options, contact, home = self.options, contact_of(problem), y.copy()
         fresh = self._fresh(problem)
+        driven = _driven(problem)
         contact.freeze(problem.positions(y), problem.load_factor)
         f = y.duplicate()
         problem.residual(y, f)
@@ -159,7 +162,7 @@ class PseudoTransient:
             disturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         done = self.descent.run(problem, y, rough, options.iterations)
-        if fresh and problem.largest_motion(difference(y, home)) > options.fresh:
+        if fresh and problem.largest_motion(difference(y, home)) > options.fresh + 2.0 * driven:
             return None
         if done:
             contact.adopt(problem.positions(y), problem.load_factor)
@@ -211,6 +214,13 @@ class WatchedTransient(PseudoTransient):
     def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         was, now = problem.positions(problem.unknowns_of(before)), problem.load_factor
         return not leads_through(problem, was, now, problem.positions(y))
+
+
+def _driven(problem: Problem) -> float:
+    """How far supports have moved since the step's start, in sizes of the shell."""
+    lift = float(np.abs(problem.part.lift[: 3 * len(problem.part.vertex)]).max(initial=0.0))
+    share = problem.load_factor - contact_of(problem).state.factor
+    return share * problem.comm.allreduce(lift, op=MPI.MAX) / problem.size()
 
 
 def _slides(problem: Problem, step: PETSc.Vec) -> str:

@@ -19,7 +19,7 @@ from voile.problem.discrete import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
-from voile.solver.methods.steps import limit, test
+from voile.solver.methods.steps import Stall, limit, test, to_round_off
 
 _REASON = PETSc.SNES.ConvergedReason
 
@@ -58,6 +58,7 @@ class Semismooth:
         self.iteration = Iterate(self)
         self.nonlinear = Nonlinear(work, "semismooth_", self.iteration)
         self.negative: int | None = None
+        self.stalled = False
 
     @property
     def steps(self) -> list[Iteration]:
@@ -66,6 +67,16 @@ class Semismooth:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
+        outcome = self._run(problem, y, tolerance)
+        if not self.stalled:
+            return outcome
+        problem.rebase(y)  # the rounding of large displacements may hide that it has converged
+        outcome = self._run(problem, y, tolerance)
+        reason = to_round_off(problem, y, self.nonlinear.norm, tolerance) if self.stalled else ""
+        return Outcome(True, self.name, reason) if reason else outcome
+
+    def _run(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        self.stalled = False
         done = self.nonlinear.run(problem, y, tolerance, self.options.iterations)
         if self.nonlinear.snes.getType() != PETSc.SNES.Type.PYTHON:
             raise InputError(
@@ -91,7 +102,7 @@ class Iterate:
         contact, matrix, most = contact_of(problem), self.work.matrix, snes.getTolerances()[3]
         f, direction, states = snes.getFunction()[0], y.duplicate(), None
         self.steps, kind = [], "exact"
-        first, best, idle = 0.0, np.inf, 0
+        first, best, idle, stall = 0.0, np.inf, 0, Stall()
         held: tuple[State, float, int] | None = (
             None  # an equilibrium to come back to, its norm, SNES's reason
         )
@@ -109,7 +120,9 @@ class Iterate:
                 return
             # What holds from the start takes one step for its inertia, and to be sharper.
             held = (problem.save(y), norm, reason) if reason else None
-            if it == most or idle > self.options.patience:
+            stalled = not self.method.negative and stall.reached(problem, y, norm)
+            if it == most or idle > self.options.patience or stalled:
+                self.method.stalled = stalled
                 break
             linear = contact.linearise(problem.positions(y), problem.load_factor)
             symmetric = problem.everywhere(linear.symmetric)

@@ -10,6 +10,7 @@ from voile.problem.scales import round_off
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import NOT_FINITE, Workspace
 
+WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 REACH = 0.2  # longest full step: displacement over the size of the shell
 
 
@@ -75,6 +76,15 @@ def test(snes: PETSc.SNES, iteration: int, y: PETSc.Vec, direction: PETSc.Vec, n
     if not np.isfinite(norm):
         return NOT_FINITE
     return snes.callConvergenceTest(iteration, y.norm(), direction.norm() if iteration else 0.0, norm)
+
+
+def to_round_off(problem: Problem, y: PETSc.Vec, norm: float, tolerance: float) -> str:
+    """Why a residual (N) that has stopped falling at y is as good as converged; empty where it is not: where the
+    evaluation itself is more exact, or the tolerance far."""
+    computed = round_off(problem, y)[1]
+    if computed < tolerance or norm > WORTH * tolerance:
+        return ""
+    return f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"
 
 
 @dataclass
