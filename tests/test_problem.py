@@ -164,7 +164,7 @@ def test_prescribed_motion_follows_the_load_factor():
     shell = make_shell(points, triangles, gravity=np.zeros(3))
     shell.motion[:] = [0.1, -0.2, 0.3]
     problem = Problem(shell, MPI.COMM_SELF)
-    problem.load_factor = 0.5
+    problem = problem.at(0.5)
     u, _ = problem.local(problem.create_vector())
     held = shell.fixed[problem.part.vertex, 0]
     assert np.allclose(u.reshape(-1, 3)[held], [0.05, -0.1, 0.15], atol=1e-16)

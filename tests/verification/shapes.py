@@ -135,7 +135,7 @@ def buckling_load(height: float, nx: int, ny: int) -> float:
     low, high = 0.5, 2.0
     for _ in range(14):
         middle = 0.5 * (low + high)
-        problem.load_factor = 0.5 * middle
+        problem = problem.at(0.5 * middle)
         low, high = (low, middle) if planar_state(problem)[1] else (middle, high)
     return 0.5 * (low + high)
 

@@ -30,7 +30,7 @@ def factored(matrix: PETSc.Mat, counts: Counts | None = None) -> PETSc.PC:
 
 def contact_tangent(problem: Problem, y: PETSc.Vec, matrix: PETSc.Mat) -> PETSc.Mat:
     """The exact tangent with sticking vertices held and slipping ones held along the normal."""
-    linear = contact_of(problem).linearise(problem.positions(y), problem.load_factor)
+    linear = contact_of(problem).linearise(problem.positions(y), problem.time)
     problem.tangent(y, matrix, "exact", linear.held())
     return matrix
 

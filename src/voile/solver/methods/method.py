@@ -130,4 +130,4 @@ class Nonlinear:
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
         assert self.work.monitor is not None
-        self.work.monitor(self.problem.load_factor, iteration, norm)
+        self.work.monitor(self.problem.time, iteration, norm)

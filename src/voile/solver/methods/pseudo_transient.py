@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from petsc4py import PETSc
 
+from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
 from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
+from voile.problem.inertia import Inertia
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
 from voile.solver.cascade import attempt
@@ -96,8 +98,9 @@ class PseudoTransient:
                 kicks, rate, peak, saddle = kicks + 1, 2.0 * growth, 0.0, None
             before = problem.save(y)
             if slips:
-                contact.begin(problem.positions(y), problem.load_factor)
-            step = problem.with_inertia(rate, problem.positions(y))
+                contact.begin(problem.positions(y), problem.time)
+            inertial = Inertia(problem.vertex_mass(), problem.own, rate, problem.positions(y))
+            step = problem.with_terms(AugmentedContact(contact), inertial)
             done = self._step(step, y, tolerance, loads)
             if done is None or not self._admissible(problem, before, y):
                 problem.restore(y, before)
@@ -113,7 +116,7 @@ class PseudoTransient:
                 return replace(self._failed(_slides(problem, last)), gone=True)
             if not done:
                 continue
-            inertia = step.inertia_norm(y)
+            inertia = step.term_norm(inertial, y)
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
             rate = rate if self._fresh(problem) else self._next(rate, slow)
             if inertia > min(options.near * loads, 0.3 * peak):
@@ -131,7 +134,7 @@ class PseudoTransient:
 
     def _fresh(self, problem: Problem) -> bool:
         """Whether no contact bears yet."""
-        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).state.normal))
+        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).history.normal))
 
     def _next(self, rate: float, slow: float) -> float:
         """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
@@ -152,7 +155,7 @@ class PseudoTransient:
         many iterations); None where it failed."""
         options, contact, home = self.options, contact_of(problem), y.copy()
         fresh = self._fresh(problem)
-        contact.freeze(problem.positions(y), problem.load_factor)
+        contact.freeze(problem.positions(y), problem.time)
         f = y.duplicate()
         problem.residual(y, f)
         if not contact.itself:  # layers take long to settle again
@@ -162,7 +165,7 @@ class PseudoTransient:
         if fresh and problem.largest_motion(difference(y, home)) > options.fresh:
             return None
         if done:
-            contact.adopt(problem.positions(y), problem.load_factor)
+            contact.adopt(problem.positions(y), problem.time)
             return True
         unfinished = self.descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return False if unfinished else None
@@ -171,7 +174,7 @@ class PseudoTransient:
         """What the semismooth method finds from here, with the slip since the `start` of the load step where it
         can."""
         contact, before = contact_of(problem), problem.save(y)
-        contact.begin(problem.positions(y), problem.load_factor)
+        contact.begin(problem.positions(y), problem.time)
         found = attempt(self.semismooth, problem, y, tolerance)
         if not (found.converged or found.saddle) and self._sharpened(problem, y, tolerance):
             found = attempt(self.semismooth, problem, y, tolerance)
@@ -194,10 +197,10 @@ class PseudoTransient:
         measured from its own last step."""
         contact, began = contact_of(problem), start.history
         assert began is not None
-        found, state = contact.state.copy(), contact.state
-        state.reference, state.factor, state.layers = began.reference, began.factor, began.layers
+        found, history = contact.history.copy(), contact.history
+        history.reference, history.time, history.layers = began.reference, began.time, began.layers
         if not attempt(self.semismooth, problem, y, tolerance).converged:
-            contact.state = found
+            contact.history = found
 
     def _beside(self, problem: Problem, y: PETSc.Vec, saddle: State, kicks: int) -> bool:
         """Whether y is already further from a saddle than the next kick would put it."""
@@ -209,7 +212,7 @@ class WatchedTransient(PseudoTransient):
     """No step may lead a vertex through an obstacle."""
 
     def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
-        was, now = problem.positions(problem.unknowns_of(before)), problem.load_factor
+        was, now = problem.positions(problem.unknowns_of(before)), problem.time
         return not leads_through(problem, was, now, problem.positions(y))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from voile.contact.state import Linearised
+from voile.contact.contact import Linearised
 from voile.errors import InputError
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
@@ -22,6 +22,7 @@ from voile.solver.methods.method import Nonlinear, Outcome, Workspace
 from voile.solver.methods.steps import limit, test
 
 _REASON = PETSc.SNES.ConvergedReason
+SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 
 
 @dataclass
@@ -96,7 +97,7 @@ class Iterate:
             None  # an equilibrium to come back to, its norm, SNES's reason
         )
         for it in range(most + 1):
-            residual, mismatch = law_norms(problem, y, f)
+            residual, mismatch = law_norms(problem, y, f, snes.getTolerances()[1])
             norm = float(np.hypot(residual, mismatch))
             first = first or norm
             idle = 0 if norm < 0.5 * best else idle + 1
@@ -111,7 +112,7 @@ class Iterate:
             held = (problem.save(y), norm, reason) if reason else None
             if it == most or idle > self.options.patience:
                 break
-            linear = contact.linearise(problem.positions(y), problem.load_factor)
+            linear = contact.linearise(problem.positions(y), problem.time)
             symmetric = problem.everywhere(linear.symmetric)
             problem.tangent(y, matrix, kind, linear.blocks())
             solver = self.work.symmetric if symmetric else self.work.unsymmetric
@@ -152,10 +153,10 @@ class Iterate:
             linear.advance(problem.motion(direction))
 
 
-def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
-    """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""
+def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) -> tuple[float, float]:
+    """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N); tolerance: theirs (N)."""
     contact, x = contact_of(problem), problem.positions(y)
-    with contact.measured():
-        problem.residual(y, f, contact.force(x, problem.load_factor, frozen=False))
-        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.load_factor))
+    with contact.measured(tolerance / (SHARP * problem.size())):
+        problem.residual(y, f, contact.force(x, problem.time, frozen=False))
+        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.time))
     return f.norm(), float(np.sqrt(mismatch))
