@@ -71,12 +71,12 @@ def minimise(
     """The rest shape that minimises the sum of the objectives, from `start` on: design variables, by default rest
     displacements with director angles; by default that whose simulation is nearest to the target, `regularisation` the
     weight of its change. Ends when it settles, or after so many iterations of TAO."""
-    problem = target.obstructed()
+    problem = target.problem
     design = design or target.rest
     surface = not isinstance(design, PanelRest)
     state = target.rest.state(start) if surface else problem.create_vector()
     terms = objectives or nearness(target, design, start, regularisation)
-    objective = Reduced(target, problem, design, terms, state, accuracy)
+    objective = Reduced(target, design, terms, state, accuracy)
     z, path = start.copy(), AdjointPath(start, start)
     metric = design.metric() if isinstance(design, PanelRest) else None
     radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())

@@ -20,7 +20,6 @@ from voile.inverse.forward import Forward
 from voile.inverse.objective import Design, Objective
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
-from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest
 from voile.solver.linear import factorisation_error, negative_pivots, use_cholesky, use_lu
 
@@ -42,14 +41,14 @@ class Reduced:
     def __init__(
         self,
         target: Target,
-        problem: Problem,
         design: Design,
         objectives: Sequence[Objective],
         start: PETSc.Vec,
         accuracy: float = 1e-8,
     ):
-        """problem: the target's, `obstructed`; start: state that the first simulation starts from; accuracy of statics:
-        residual over the loads' norm."""
+        """start: state that the first simulation starts from; accuracy of statics: residual over the loads' norm."""
+        target.load(1.0)
+        problem = target.obstructed()
         self.target, self.problem, self.design = target, problem, design
         self.objectives = objectives
         self.tangent = problem.create_matrix()

@@ -335,9 +335,9 @@ class Target:
     # ---- for the simulation ----
 
     def obstructed(self) -> Problem:
-        """The problem with obstacles and layers in the way, for a simulation: what bears at the gap that it has in the
-        target, with its reaction; what does not where it is, or just clear of it."""
-        problem, bearing = self.problem, self._bears()
+        """The problem under the full load with obstacles and layers in the way, for a simulation: what bears at the gap
+        that it has in the target, with its reaction; what does not where it is, or just clear of it."""
+        problem, bearing = self.problem.at(1.0), self._bears()
         if not self.touches:
             return problem
         offset = np.full((len(self.obstacles), len(self.x)), self.offset)
