@@ -18,8 +18,7 @@ from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.discrete import Problem
 from voile.problem.scales import force_floor
-from voile.solver.linear import factorisation_error, negative_pivots, use_lu
-from voile.solver.stability import factored
+from voile.solver.linear import factored, factorisation_error, use_lu
 
 MOST = 40  # Newton iterations of one step
 SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
@@ -182,9 +181,9 @@ class Direct:
             before = f.norm()
             problem.tangent(y, self.tangent)
             self.tangent.zeroRowsColumns(vertices.astype(np.int32), 1.0)
-            pc = factored(self.tangent)
-            pc.apply(f, step)
-            pc.destroy()
+            solver = factored(self.tangent)
+            solver.solve(f, step)
+            solver.destroy()
             z.axpy(-1.0, step)
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
@@ -311,9 +310,9 @@ class Direct:
 
     def negative(self, z: PETSc.Vec) -> int:
         """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
-        pc = factored(self.target.stiffness(self.state(z)))
-        count = negative_pivots(pc)
-        pc.destroy()
+        solver = factored(self.target.stiffness(self.state(z)))
+        count = solver.negative
+        solver.destroy()
         assert count is not None  # a Cholesky factorisation tells
         return count
 

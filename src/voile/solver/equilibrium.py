@@ -102,7 +102,7 @@ class Solver:
         method: Method = self.watched if watched else self.all if last_resort else self.near
         outcome = attempt(method, problem, y, wanted)
         if outcome.converged:
-            self.norm = float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
+            self.norm = outcome.norm or float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
             self.negative = self.semismooth.negative
         return outcome
 

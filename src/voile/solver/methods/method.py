@@ -20,13 +20,15 @@ REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isins
 @dataclass
 class Outcome:
     """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
-    saddle: an unstable one found instead."""
+    saddle: an unstable one found instead; norm: of the residual and of what the laws miss at the end (N), where the
+    method knows it."""
 
     converged: bool
     method: str
     reason: str = ""
     gone: bool = False
     saddle: State | None = None
+    norm: float | None = None
 
 
 class Method(Protocol):

@@ -183,7 +183,7 @@ class PseudoTransient:
             return self._failed("the way on leads through an obstacle")
         if found.converged and (problem.held or contact.moves):
             self._recall(problem, y, tolerance, start)
-        return replace(found, method=self.name)
+        return replace(found, method=self.name, norm=None)
 
     def _sharpened(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""

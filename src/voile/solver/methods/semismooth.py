@@ -76,7 +76,9 @@ class Semismooth:
         if done and self.negative:
             reason = "the semismooth Newton method ended at a saddle"
             return Outcome(False, self.name, reason, saddle=problem.save(y))
-        return Outcome(done, self.name, "" if done else self.nonlinear.missed(y))
+        if not done:
+            return Outcome(False, self.name, self.nonlinear.missed(y))
+        return Outcome(True, self.name, norm=self.nonlinear.norm)
 
 
 class Iterate:
