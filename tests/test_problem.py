@@ -10,12 +10,12 @@ from voile.problem.constraints import build_constraints
 from voile.problem.discrete import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, hilbert_order
-from voile.solver.linear import negative_pivots
+from voile.solver.linear import factored, negative_pivots
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Workspace
 from voile.solver.methods.mixed_newton import MixedNewton
 from voile.solver.path import StaticsOptions
-from voile.solver.stability import factored, smallest_eigenpair
+from voile.solver.stability import smallest_eigenpair
 from voile.solver.statics import solve_statics
 
 MODELS = ["koiter/tan/stvk", "koiter/average/neo-hookean", "discrete-shells//", "membrane//neo-hookean"]
@@ -164,7 +164,7 @@ def test_prescribed_motion_follows_the_load_factor():
     shell = make_shell(points, triangles, gravity=np.zeros(3))
     shell.motion[:] = [0.1, -0.2, 0.3]
     problem = Problem(shell, MPI.COMM_SELF)
-    problem.load_factor = 0.5
+    problem = problem.at(0.5)
     u, _ = problem.local(problem.create_vector())
     held = shell.fixed[problem.part.vertex, 0]
     assert np.allclose(u.reshape(-1, 3)[held], [0.05, -0.1, 0.15], atol=1e-16)
@@ -208,7 +208,7 @@ def test_smallest_eigenvalue_agrees_with_the_inertia():
     problem = Problem(make_shell(points, triangles), MPI.COMM_SELF)
     matrix, y = problem.create_matrix(), problem.create_vector()
     problem.tangent(y, matrix)
-    pc = factored(matrix)
+    pc = factored(matrix).ksp.pc
     value, mode = smallest_eigenpair(problem, matrix, slow_rate(problem))
     assert negative_pivots(pc) == 0 and value > 0
     image, mass = problem.create_vector(), problem.mass()

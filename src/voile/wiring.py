@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from voile.contact.obstacles import SHAPES, Motion, Obstacle
+from voile.contact.motion import Motion
+from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
@@ -145,7 +147,7 @@ def _gaping(shell: Shell, size: float, mesh: Path) -> list[str]:
     return [f"{where}: the target is closed there first, and sag counts from the closed shape"]
 
 
-def _seams(surface: Surface) -> dict[str, np.ndarray]:
+def _seams(surface: Surface) -> dict[str, Any]:
     s = surface.stitches
     return {} if s is None else {"slave": s.slave, "first": s.first, "second": s.second, "weight": s.weight}
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from voile.contact.obstacles import Box, Cylinder, Motion, Obstacle, Plane, Sphere
-from voile.problem.contact import attach, contact_fields
+from voile.problem.contact import contact_fields, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, StaticsOptions
@@ -46,10 +46,10 @@ def solve(shell: Shell, obstacle: Obstacle, steps: int = 1, offset: float = 0.0,
     """The path and its problem; on_step(problem, step, y); history: the problem, of the same mesh, whose contact
     forces this one starts from."""
     problem = Problem(shell)
-    attach(problem, [obstacle], offset)
+    problem = with_obstacles(problem, [obstacle], offset)
     if history is not None:
-        problem.contact.state = history.contact.state.copy()
-    watch = (lambda step, y: on_step(problem, step, y)) if on_step else None
+        problem.contact.history = history.contact.history.copy()
+    watch = (lambda step, y: on_step(problem.at(step.factor), step, y)) if on_step else None
     return solve_statics(problem, StaticsOptions(load_steps=steps), on_step=watch), problem
 
 
@@ -139,7 +139,7 @@ class Balance:
     def __call__(self, problem: Problem, y) -> None:
         x, force = problem.positions(y), problem.reactions(y)
         bound, way = np.zeros(len(x)), np.zeros(len(x))
-        for pairs in problem.contact.pairs(x, problem.load_factor):
+        for pairs in problem.contact.pairs(x, problem.time):
             friction = problem.contact.obstacles[pairs.index].friction
             normal = problem.contact.project(pairs)[0]
             bound[pairs.vertex] = friction * normal * problem.contact.slips(pairs)

@@ -7,7 +7,7 @@ from petsc4py import PETSc
 
 from voile.contact.obstacles import Plane
 from voile.errors import InputError
-from voile.problem.contact import attach, contact_report
+from voile.problem.contact import contact_report, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 from voile.solver.methods.complementarity import OPTION
@@ -41,7 +41,7 @@ def lifted_strip(friction: float = 0.0):
     )
     problem = Problem(shell)
     floor = Plane(name="floor", friction=friction, point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
-    attach(problem, [floor], 0.0)
+    problem = with_obstacles(problem, [floor], 0.0)
     return solve_statics(problem, StaticsOptions(load_steps=1)), problem
 
 

@@ -7,7 +7,7 @@ import protocols
 import pytest
 
 from voile.contact.obstacles import Motion, Sphere
-from voile.problem.contact import attach
+from voile.problem.contact import with_obstacles
 from voile.problem.discrete import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
@@ -63,7 +63,7 @@ def test_quadratic_convergence():
     press = Motion(displacement=np.array([0.002, 0.001, 0.02]))
     ball = Sphere(name="ball", friction=0.2, motion=press, center=np.array([0.45, 0.1, -0.31]), radius=0.3)
     problem = Problem(shell)
-    attach(problem, [ball], 0.0)
+    problem = with_obstacles(problem, [ball], 0.0)
     norms: list[float] = []
 
     def monitor(_factor, iteration, norm):

@@ -12,12 +12,12 @@ from test_state import taylor_rates
 from voile.cli import main
 from voile.contact.candidates import Layers, near_along
 from voile.contact.closest import closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.contact import Contact
 from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Plane
-from voile.contact.state import Contact
 from voile.errors import InputError
 from voile.mesh import write_obj
-from voile.problem.contact import attach, contact_fields, contact_report, shell_layers
+from voile.problem.contact import contact_fields, contact_report, shell_layers, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 from voile.results import read_result, read_summary
@@ -102,7 +102,7 @@ def pressed_sheets(friction: float) -> tuple[Contact, np.ndarray]:
     rng = np.random.default_rng(4)
     contact.begin(x + 0.2 * OFFSET * rng.normal(size=x.shape), 0.0)
     contact.adopt(x, 1.0)
-    assert len(contact.state.candidates.code) > 50
+    assert len(contact.history.candidates.code) > 50
     return contact, x + 0.02 * OFFSET * rng.normal(size=x.shape)
 
 
@@ -171,7 +171,7 @@ def stack(friction: float = 0.0, angle: float = 0.0, size: float = 0.125, drag: 
     )  # fmt: skip
     problem = Problem(shell)
     floor = Plane(name="floor", friction=3.0 * np.tan(angle), point=np.zeros(3), normal=UP)
-    attach(problem, [floor], OFFSET, shell_layers(shell, OFFSET, friction))
+    problem = with_obstacles(problem, [floor], OFFSET, shell_layers(shell, OFFSET, friction))
     steps = 4 if drag else 1
     return solve_statics(problem, StaticsOptions(load_steps=steps)), problem, above
 
@@ -248,7 +248,7 @@ def loop(self_contact: bool):
     """Path, problem, shell and offset of that ring."""
     shell, offset = loop_shell()
     problem = Problem(shell)
-    attach(problem, [], offset, shell_layers(shell, offset, 0.0) if self_contact else None)
+    problem = with_obstacles(problem, [], offset, shell_layers(shell, offset, 0.0) if self_contact else None)
     return solve_statics(problem, StaticsOptions(load_steps=10)), problem, shell, offset
 
 
@@ -337,7 +337,7 @@ def test_layers_in_the_same_place_are_refused():
         young=YOUNG, thickness=1e-3, density=DENSITY,
     )  # fmt: skip
     with pytest.raises(InputError, match="start in the same place at vertex"):
-        attach(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+        with_obstacles(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
 
 
 def test_a_start_through_itself_is_refused():
@@ -348,7 +348,7 @@ def test_a_start_through_itself_is_refused():
         young=YOUNG, thickness=1e-3, density=DENSITY,
     )  # fmt: skip
     with pytest.raises(InputError, match="passing through itself"):
-        attach(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+        with_obstacles(Problem(shell), [], OFFSET, shell_layers(shell, OFFSET, 0.0))
 
 
 def test_supports_that_hold_layers_too_near_are_refused():
@@ -356,7 +356,7 @@ def test_supports_that_hold_layers_too_near_are_refused():
     with pytest.raises(
         InputError, match="supports hold layers of the shell 0.006.* nearer than twice the offset"
     ):
-        attach(Problem(shell), [], 2.0 * offset, shell_layers(shell, 2.0 * offset, 0.0))
+        with_obstacles(Problem(shell), [], 2.0 * offset, shell_layers(shell, 2.0 * offset, 0.0))
 
 
 def test_supports_do_not_carry_layers_through_each_other():
@@ -371,7 +371,7 @@ def test_supports_do_not_carry_layers_through_each_other():
         **held(both, (masks[0], np.zeros(3)), (masks[1], np.array([0.0, 0.0, -0.1]))),
     )  # fmt: skip
     problem = Problem(shell)
-    attach(problem, [], OFFSET, shell_layers(shell, OFFSET, 0.0))
+    problem = with_obstacles(problem, [], OFFSET, shell_layers(shell, OFFSET, 0.0))
     path = solve_statics(problem, StaticsOptions(load_steps=1))
     assert not path.converged and "supports carry layers of the shell through each other" in path.reason
 
@@ -387,7 +387,7 @@ def test_pleats_stay_untangled(friction):
     )  # fmt: skip
     for layers in (shell_layers(shell, 0.8 * OFFSET, friction), None):
         problem = Problem(shell)
-        attach(problem, [], OFFSET, layers)
+        problem = with_obstacles(problem, [], OFFSET, layers)
         path = solve_statics(problem, StaticsOptions(load_steps=1))
         assert path.converged
         x = problem.positions(path.state)

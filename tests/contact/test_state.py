@@ -5,9 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from voile.contact.kept import Kept
+from voile.contact.contact import Contact
 from voile.contact.obstacles import Plane, Sphere
-from voile.contact.state import Contact
+from voile.problem.terms import Point
+from voile.problem.tied import TiedContact
 
 OFFSET, STIFFNESS, RADIUS = 0.01, 50.0, 0.5
 
@@ -60,25 +61,32 @@ def test_blocks_are_the_hessian_of_the_energy(friction):
         assert np.linalg.eigvalsh(block).min() >= -1e-12 * STIFFNESS
 
 
-def test_kept_contacts_are_springs_that_carry_their_reactions():
+def at(x: np.ndarray) -> Point:
+    """The place x (n, 3) at time 1, of vertices without directors."""
+    none = np.zeros(0)
+    return Point(x.ravel(), none, x.ravel(), x, 1.0)
+
+
+def test_tied_contacts_are_springs_that_carry_their_reactions():
     """Force and blocks derive from the energy; where the springs rest, the force is that of the reactions."""
     contact, x = touching(0.3)
     direction = 0.01 * np.random.default_rng(6).normal(size=x.shape)
-    contact.kept = Kept(contact, x, 1.0)
-    (springs,) = contact.kept.springs
-    assert contact.kept.bears and (springs.reaction != 0.0).any()
+    tied = TiedContact(contact, x, 1.0)
+    (springs,) = tied.springs
+    assert tied.active and (springs.reaction != 0.0).any()
     assert np.abs(springs.away(x)).max() > 1e-4  # m, off where they close without slip
-    force = contact.force(x, 1.0, frozen=True)
-    assert min(taylor_rates(lambda z: contact.energy(z, 1.0), -np.sum(force * direction), x, direction)) > 1.9
+    force = tied.forces(at(x)).reshape(-1, 3)
+    slope = -np.sum(force * direction)
+    assert min(taylor_rates(lambda z: tied.energies(at(z))["contact"], slope, x, direction)) > 1.9
     slope = np.zeros_like(x)
-    for vertex, block in contact.blocks(x, 1.0, convex=False):
+    for vertex, block in tied.blocks(at(x), "exact"):
         slope[vertex] += np.einsum("pij,pj->pi", block, direction[vertex])
-    moved = force - contact.force(x + direction, 1.0, frozen=True)
+    moved = force - tied.forces(at(x + direction)).reshape(-1, 3)
     assert np.abs(moved - slope).max() < 1e-9 * np.abs(slope).max()
     springs.home = springs.home + springs.away(x)
     resting = np.zeros_like(x)
     resting[springs.vertex[:, 0]] = springs.reaction
-    assert np.abs(contact.force(x, 1.0, frozen=True) - resting).max() < 1e-12 * np.abs(resting).max()
+    assert np.abs(tied.forces(at(x)).reshape(-1, 3) - resting).max() < 1e-12 * np.abs(resting).max()
 
 
 def one_vertex(
@@ -139,8 +147,7 @@ def test_sharp_norms_take_no_larger_rho():
     """A gap that only round-off opens counts with `sharp` in norms, with rho in the laws."""
     contact, x = touching(0.3)
     firm = contact.mismatch(x, 1.0)
-    contact.sharp = 0.01 * STIFFNESS
-    with contact.measured():
+    with contact.measured(0.01 * STIFFNESS):
         assert contact.rho(0) == 0.01 * STIFFNESS
         assert contact.mismatch(x, 1.0) < 0.1 * firm
     assert contact.rho(0) == STIFFNESS and contact.mismatch(x, 1.0) == firm

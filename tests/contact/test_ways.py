@@ -5,7 +5,7 @@ import protocols
 import pytest
 
 from voile.contact.obstacles import Box, Plane
-from voile.problem.contact import attach
+from voile.problem.contact import with_obstacles
 from voile.problem.discrete import Problem
 from voile.solver.methods.semismooth import Iterate
 from voile.solver.stepping.control import StepControl
@@ -14,19 +14,21 @@ from voile.solver.stepping.control import StepControl
 def test_a_place_is_the_same_from_another_base():
     points, triangles = protocols.plate(0.5, 0.5, 0.125)
     problem = Problem(protocols.shell_of(points, triangles, young=1e6, thickness=1e-3, density=300.0))
-    attach(problem, [Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)], 0.0)
+    problem = with_obstacles(
+        problem, [Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)], 0.0
+    )
     contact, rng = problem.contact, np.random.default_rng(2)
     y = problem.create_vector()
     y.array[:] = rng.normal(size=len(y.array_r))
-    contact.state.normal[0][:] = 1.0
+    contact.history.normal[0][:] = 1.0
     place, x = problem.save(y), problem.positions(y)
     y.array[:] += 1e-3 * rng.normal(size=len(y.array_r))
     problem.rebase(y)
     assert y.norm() == 0.0 and np.abs(problem.positions(y) - x).max() > 1e-4
-    contact.state.normal[0][:] = 2.0
+    contact.history.normal[0][:] = 2.0
     problem.restore(y, place)
     assert np.abs(problem.positions(y) - x).max() < 1e-14
-    assert (contact.state.normal[0] == 1.0).all()
+    assert (contact.history.normal[0] == 1.0).all()
 
 
 @pytest.mark.parametrize("step", [1e3, np.nan])

@@ -34,15 +34,14 @@ def main(kind: str) -> None:
         )
         size = 1e-5 if contact else 1e-4  # reactions stay inside their cones
         z, direction, state = home + wave(target, 1.0, size), wave(target, 1.7, size), target.rest.state(home)
-    with target.obstructed():
-        objective = nearest_to(target, design, home, state, 0.1, 1e-10)
-        gradient = z.duplicate()
-        value = objective.evaluate(z, gradient)
-        product = z.duplicate()
-        objective.mult(None, direction, product)
-        slope, curvature, left = gradient.dot(direction), direction.dot(product), []
-        for h in (1e-1, 1e-2):
-            left.append(abs(objective.evaluate(z + h * direction, z.duplicate()) - value - h * slope))
+    objective = nearest_to(target, design, home, state, 0.1, 1e-10)
+    gradient = z.duplicate()
+    value = objective.evaluate(z, gradient)
+    product = z.duplicate()
+    objective.mult(None, direction, product)
+    slope, curvature, left = gradient.dot(direction), direction.dot(product), []
+    for h in (1e-1, 1e-2):
+        left.append(abs(objective.evaluate(z + h * direction, z.duplicate()) - value - h * slope))
     if comm.rank == 0:
         print(f"{value:.12e} {slope:.12e} {curvature:.12e} {math.log10(left[0] / left[1]):.3f}")
 

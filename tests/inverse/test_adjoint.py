@@ -42,26 +42,25 @@ def test_the_gradient_is_that_of_the_objective(kind):
     target = sample(kind)
     home = Direct(target).follow().rest
     size = 1e-5 if kind == "contact" else 1e-4  # reactions stay inside their cones
-    with target.obstructed():
-        objective = nearest_to(
-            target, target.rest, target.problem.create_vector(), target.rest.state(home), 0.1, 1e-10
-        )
-        z = home.copy()
-        z.axpy(1.0, wave(target, 1.0, size))
-        direction, gradient = wave(target, 1.7, size), z.duplicate()
-        value = objective.evaluate(z, gradient)
-        slope = gradient.dot(direction)
-        steps, left = np.array([1e-1, 1e-2]), []
-        for h in steps:
-            there = z.copy()
-            there.axpy(h, direction)
-            left.append(abs(objective.evaluate(there, there.duplicate()) - value - h * slope))
-        np.testing.assert_allclose(np.log10(left[0] / left[1]), 2.0, atol=0.15)
-        ahead, back = z.copy(), z.copy()
-        ahead.axpy(1e-2, direction)
-        back.axpy(-1e-2, direction)
-        difference = objective.evaluate(ahead, z.duplicate()) - objective.evaluate(back, z.duplicate())
-        assert difference / 2e-2 == pytest.approx(slope, rel=1e-6)
+    objective = nearest_to(
+        target, target.rest, target.problem.create_vector(), target.rest.state(home), 0.1, 1e-10
+    )
+    z = home.copy()
+    z.axpy(1.0, wave(target, 1.0, size))
+    direction, gradient = wave(target, 1.7, size), z.duplicate()
+    value = objective.evaluate(z, gradient)
+    slope = gradient.dot(direction)
+    steps, left = np.array([1e-1, 1e-2]), []
+    for h in steps:
+        there = z.copy()
+        there.axpy(h, direction)
+        left.append(abs(objective.evaluate(there, there.duplicate()) - value - h * slope))
+    np.testing.assert_allclose(np.log10(left[0] / left[1]), 2.0, atol=0.15)
+    ahead, back = z.copy(), z.copy()
+    ahead.axpy(1e-2, direction)
+    back.axpy(-1e-2, direction)
+    difference = objective.evaluate(ahead, z.duplicate()) - objective.evaluate(back, z.duplicate())
+    assert difference / 2e-2 == pytest.approx(slope, rel=1e-6)
 
 
 def test_the_hessian_is_symmetric_and_that_of_a_linear_map():
@@ -104,12 +103,11 @@ def test_the_first_equilibrium_is_sought_by_all_means(kind, monkeypatch):
     home = Direct(target).follow().rest
     z = home.copy()
     z.axpy(1.0, wave(target, 1.0, 1e-5))
-    with target.obstructed():
-        for solve_short in (Forward.solve, lambda *_: False):
-            monkeypatch.setattr(Forward, "solve", solve_short)
-            target.rest.set(home)  # masses weigh the distance
-            objective = nearest_to(target, target.rest, home, target.rest.state(home), 0.1, 1e-10)
-            found.append(objective.evaluate(z, z.duplicate()))
+    for solve_short in (Forward.solve, lambda *_: False):
+        monkeypatch.setattr(Forward, "solve", solve_short)
+        target.rest.set(home)  # masses weigh the distance
+        objective = nearest_to(target, target.rest, home, target.rest.state(home), 0.1, 1e-10)
+        found.append(objective.evaluate(z, z.duplicate()))
     assert found[1] == pytest.approx(found[0], rel=1e-8) and found[0] > 0.0
 
 
@@ -173,14 +171,13 @@ def test_a_new_objective_is_one_class():
     height = -0.02 * target.problem.size()
     lift = Lift(target, height)
     steady = Change(target, target.rest, zero, 1e-6)
-    with target.obstructed():
-        reduced = Reduced(target, target.rest, [lift, steady], zero, 1e-10)
-        z, direction = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
-        gradient, ends = z.duplicate(), []
-        reduced.evaluate(z, gradient)
-        for h in (1e-2, -1e-2):
-            ends.append(reduced.evaluate(z + h * direction, z.duplicate()))
-        assert (ends[0] - ends[1]) / 2e-2 == pytest.approx(gradient.dot(direction), rel=1e-6)
+    reduced = Reduced(target, target.rest, [lift, steady], zero, 1e-10)
+    z, direction = wave(target, 1.0, 1e-4), wave(target, 1.7, 1e-4)
+    gradient, ends = z.duplicate(), []
+    reduced.evaluate(z, gradient)
+    for h in (1e-2, -1e-2):
+        ends.append(reduced.evaluate(z + h * direction, z.duplicate()))
+    assert (ends[0] - ends[1]) / 2e-2 == pytest.approx(gradient.dot(direction), rel=1e-6)
     path = minimise(target, zero, 0.0, 20, objectives=[lift, steady])
     assert abs(lift.missed(path.state)) < 1e-3 * abs(height)
     assert lift.missed(zero) == -height

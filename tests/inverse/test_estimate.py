@@ -11,7 +11,7 @@ from voile.contact.obstacles import Cylinder, Motion, Plane
 from voile.errors import InputError, NotConverged
 from voile.inverse.estimate import Estimation
 from voile.inverse.observation import Observation, UnknownRest
-from voile.problem.contact import attach
+from voile.problem.contact import with_obstacles
 from voile.problem.discrete import Problem
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
@@ -23,7 +23,7 @@ UPWARDS = {"gravity": np.array([0.0, 0.0, 9.81])}
 def simulated(of, obstacles=(), steps=1, tolerance=1e-12):
     """(n, 3) where a shell comes to rest."""
     problem = Problem(of, MPI.COMM_SELF)
-    attach(problem, list(obstacles), 0.0)
+    problem = with_obstacles(problem, list(obstacles), 0.0)
     path = require(solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=tolerance)))
     return problem.positions(path.state)
 

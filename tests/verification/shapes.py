@@ -12,8 +12,7 @@ from shells import Row, line_force, make, mapped, row, solve
 
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
-from voile.solver.linear import negative_pivots
-from voile.solver.stability import factored
+from voile.solver.linear import factored
 
 YOUNG, DENSITY = 1e6, 1000.0  # Pa; kg/m^3 as `make` sets it
 
@@ -118,11 +117,11 @@ def planar_state(problem: Problem):
     for _ in range(5):
         problem.residual(y, residual)
         problem.tangent(y, matrix)
-        pc = factored(matrix)
-        negative = negative_pivots(pc)
-        pc.apply(residual, step)
+        solver = factored(matrix)
+        negative = solver.negative
+        solver.solve(residual, step)
         y.axpy(-1.0, step)
-        pc.destroy()
+        solver.destroy()
     if not residual.norm() < 1e-8 * problem.load_norm(y):
         raise AssertionError(f"the plane state has a residual of {residual.norm():.2e} N")
     return y, negative
@@ -135,7 +134,7 @@ def buckling_load(height: float, nx: int, ny: int) -> float:
     low, high = 0.5, 2.0
     for _ in range(14):
         middle = 0.5 * (low + high)
-        problem.load_factor = 0.5 * middle
+        problem = problem.at(0.5 * middle)
         low, high = (low, middle) if planar_state(problem)[1] else (middle, high)
     return 0.5 * (low + high)
 

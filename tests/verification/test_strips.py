@@ -95,7 +95,7 @@ def test_the_tangent_of_end_moments_is_the_derivative_of_their_forces():
     shell, _ = rolled_strip(1.0, 4, 2)
     shell.young[:] = 1e-3  # leaves the moments alone
     problem = Problem(shell, MPI.COMM_SELF)
-    problem.load_factor = 0.7
+    problem = problem.at(0.7)
     rng = np.random.default_rng(0)
     y, along, symmetric, skew = (problem.create_vector() for _ in range(4))
     y.array, along.array = 0.02 * rng.standard_normal((2, y.size))

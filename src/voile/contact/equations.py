@@ -14,7 +14,7 @@ class Equations:
 
     def __init__(self, contact: NaturalMap, p: Pairs):
         self.p, self.mu = p, p.friction
-        s, rho = contact.state, contact.rho(p.index)
+        s, rho = contact.history, p.rho
         self.firm = contact.firm
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
@@ -131,7 +131,7 @@ class Linearised:
 
     def reactions(self, share: float) -> None:
         """The present reactions move by a share (0 to 1) of the way to those of the step."""
-        s = self.contact.state
+        s = self.contact.history
         normal = [np.zeros_like(a) for a in s.normal]
         friction = [np.zeros_like(a) for a in s.friction]
         for e in self.parts:

@@ -12,11 +12,11 @@ PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
 
 
 @dataclass
-class State:
+class History:
     """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
     contacts: reactions normal (c,) and friction (c, 3) in N, the frozen friction bounds (c,) N, planes (c, 3; unit
     normals) and grips (c, s; weights of the contact's vertices) of the potential. Of the step's start: positions
-    reference (n, 3) m and, of all vertices, layers; the time, in statics the load factor, `factor`. candidates: the
+    reference (n, 3) m and, of all vertices, layers; its time, in statics the load factor. candidates: the
     shell's contacts with itself."""
 
     normal: list[np.ndarray]
@@ -25,20 +25,20 @@ class State:
     plane: list[np.ndarray]
     grip: list[np.ndarray]
     reference: np.ndarray
-    factor: float
+    time: float
     candidates: Candidates
     layers: np.ndarray
 
-    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "State":
-        """The state with all that there is per partner changed alike."""
+    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "History":
+        """The history with all that there is per partner changed alike."""
         changed: dict[str, Any] = {name: [change(a) for a in getattr(self, name)] for name in PER_PARTNER}
         return replace(self, **changed)
 
-    def copy(self) -> "State":
+    def copy(self) -> "History":
         return self.each(np.copy)
 
 
-def blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> State:
+def blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> History:
     """No reactions for partners of sizes (contacts, vertices of each)."""
     scalars, vectors, weights = (
         [np.zeros(shape(c, s)) for c, s in sizes]
@@ -47,5 +47,5 @@ def blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> State:
     none = Candidates(
         np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)), np.zeros(0)
     )
-    blank = State(scalars, vectors, scalars, vectors, weights, reference, 0.0, none, np.zeros((0, 3)))
+    blank = History(scalars, vectors, scalars, vectors, weights, reference, 0.0, none, np.zeros((0, 3)))
     return blank.copy()

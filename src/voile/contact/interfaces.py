@@ -1,6 +1,6 @@
 """What a shell's contacts are with: rigid obstacles or the shell itself, one interface for the laws.
 
-A partner has contacts in the state, numbered in its own way, over vertices whose positions `widen` gives from
+A partner has contacts in the history, numbered in its own way, over vertices whose positions `widen` gives from
 this rank's; `narrow` takes forces back. Its gaps, their geometry and the relative motion since the start of the step
 are all that Signorini's and Coulomb's laws need.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 from voile.contact.candidates import BAND, Candidates, Layers, closest
 from voile.contact.closest import Closest, derivatives
-from voile.contact.history import State
+from voile.contact.history import History
 from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import Geometry
 
@@ -36,34 +36,36 @@ class ObstacleContact:
     def narrow(self, forces: np.ndarray) -> np.ndarray:
         return forces
 
-    def gaps(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(n,) m."""
         return self.obstacle.gap(x, t) - self.offset
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, state: State) -> Geometry:
+    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
         """That of some contacts."""
         gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t)
         return Geometry(gap - self.offset[rows], gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
-    def moved(self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def moved(
+        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, history: History
+    ) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
-        return x[rows] - self.obstacle.carry(state.reference[rows], state.factor, t)
+        return x[rows] - self.obstacle.carry(history.reference[rows], history.time, t)
 
-    def movable(self, state: State) -> np.ndarray:
+    def movable(self, history: History) -> np.ndarray:
         """(n,) marks the contacts that have unknowns."""
         return self.free
 
-    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
+    def counted(self, rows: np.ndarray, history: History) -> np.ndarray:
         """(p,) marks the contacts that count on this rank."""
         return self.own[rows]
 
-    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+    def places(self, code: np.ndarray, history: History) -> np.ndarray:
         """Rows of the contacts known by codes (p,): the vertices themselves."""
         return code
 
-    def nearest(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def nearest(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(n,) gap (m) of each vertex."""
-        return self.gaps(x, t, state)
+        return self.gaps(x, t, history)
 
     def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""
@@ -93,16 +95,16 @@ class SelfContact:
         """(local vertices, 3) of the forces on all vertices (n, 3)."""
         return forces[self.here]
 
-    def renewed(self, x: np.ndarray, state: State, k: int) -> State:
-        """The state, in which this partner's part is k, with the candidates at positions x (n, 3)."""
-        old = state.candidates
+    def renewed(self, x: np.ndarray, history: History, k: int) -> History:
+        """The history, in which this partner's part is k, with the candidates at positions x (n, 3)."""
+        old = history.candidates
         if self.layers.valid(old, x):
-            return state
-        carry = (state.normal[k] != 0.0) | (state.bound[k] != 0.0)
+            return history
+        carry = (history.normal[k] != 0.0) | (history.bound[k] != 0.0)
         fresh = self.layers.find(x, old.code[carry])
         there = np.flatnonzero(np.isin(fresh.code, old.code))
         back = np.searchsorted(old.code, fresh.code[there])
-        renewed = state.copy()
+        renewed = history.copy()
         renewed.candidates = fresh
         for part in (renewed.normal, renewed.friction, renewed.bound, renewed.plane, renewed.grip):
             rows = np.zeros((len(fresh.code), *part[k].shape[1:]))
@@ -110,16 +112,16 @@ class SelfContact:
             part[k] = rows
         return renewed
 
-    def gaps(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(c,) m; infinite for edges that are not closest inside both."""
-        return self._closest(state.candidates, x).distance - state.candidates.apart
+        return self._closest(history.candidates, x).distance - history.candidates.apart
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, state: State) -> Geometry:
+    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
         """That of some contacts, whose gaps are finite."""
-        vertex = state.candidates.vertex[rows]
-        c = self._closest(state.candidates, x)[rows]
+        vertex = history.candidates.vertex[rows]
+        c = self._closest(history.candidates, x)[rows]
         normal, curvature = derivatives(c, x[vertex])
-        return Geometry(c.distance - state.candidates.apart[rows], normal, curvature, vertex, c.weight)
+        return Geometry(c.distance - history.candidates.apart[rows], normal, curvature, vertex, c.weight)
 
     def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
         """As `closest`, which is asked for again and again at the same positions."""
@@ -127,28 +129,30 @@ class SelfContact:
             self._last = candidates, x.copy(), closest(candidates, x)
         return self._last[2]
 
-    def moved(self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def moved(
+        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, history: History
+    ) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
-        vertex = state.candidates.vertex[rows]
-        return np.einsum("ps,psi->pi", grip, x[vertex] - state.layers[vertex])
+        vertex = history.candidates.vertex[rows]
+        return np.einsum("ps,psi->pi", grip, x[vertex] - history.layers[vertex])
 
-    def movable(self, state: State) -> np.ndarray:
+    def movable(self, history: History) -> np.ndarray:
         """(c,) marks the contacts that have unknowns."""
-        return self.free[state.candidates.vertex].any(axis=1)
+        return self.free[history.candidates.vertex].any(axis=1)
 
-    def counted(self, rows: np.ndarray, state: State) -> np.ndarray:
+    def counted(self, rows: np.ndarray, history: History) -> np.ndarray:
         """(p,) marks the contacts that count on this rank."""
-        return self.own[state.candidates.vertex[rows, 0]]
+        return self.own[history.candidates.vertex[rows, 0]]
 
-    def places(self, code: np.ndarray, state: State) -> np.ndarray:
+    def places(self, code: np.ndarray, history: History) -> np.ndarray:
         """Rows of the contacts known by codes (p,), which are among the candidates."""
-        return np.searchsorted(state.candidates.code, code)
+        return np.searchsorted(history.candidates.code, code)
 
-    def nearest(self, x: np.ndarray, t: float, state: State) -> np.ndarray:
+    def nearest(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
-        gap = self.gaps(x, t, state)
+        gap = self.gaps(x, t, history)
         least = np.full(len(self.free), BAND * self.layers.thickness)
-        np.minimum.at(least, state.candidates.vertex, gap[:, None])
+        np.minimum.at(least, history.candidates.vertex, gap[:, None])
         return least[self.here]
 
     def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Prescribed rigid motion of an obstacle, as a function of time."""
+"""Rigid motion of an obstacle or of a support, prescribed in time; statics take their load factor for the time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,10 +12,8 @@ def _zeros() -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A displacement (3,) m and a rotation vector (3,) rad about `center` (3,) m, reached at t = 1 in proportion to t.
-
-    t is the time; statics take their load factor for it. Another law of motion overrides `shift`, `turn` and `moves`.
-    """
+    """A displacement (3,) m, or (n, 3) of n points, and a rotation vector (3,) rad about `center` (3,) m, reached at
+    t = 1 in proportion to t. Another law of motion overrides `shift`, `turn` and `moves`."""
 
     displacement: np.ndarray = field(default_factory=_zeros)
     rotation: np.ndarray = field(default_factory=_zeros)
@@ -27,7 +25,7 @@ class Motion:
         return bool(np.any(self.displacement) or np.any(self.rotation))
 
     def shift(self, t: float) -> np.ndarray:
-        """(3,) displacement of the centre at time t (m)."""
+        """Displacement of the centre at time t (m), shaped as `displacement`."""
         return t * np.asarray(self.displacement)
 
     def turn(self, t: float) -> np.ndarray:
@@ -41,6 +39,16 @@ class Motion:
     def unplace(self, points: np.ndarray, t: float) -> np.ndarray:
         """The inverse of `place`."""
         return (points - self.center - self.shift(t)) @ self.turn(t) + self.center
+
+    def of(self, rows: np.ndarray) -> "Motion":
+        """That of some of the points."""
+        shift = np.asarray(self.displacement)
+        return replace(self, displacement=shift[rows]) if shift.ndim == 2 else self
+
+    def between(self, points: np.ndarray, start: float, end: float) -> np.ndarray:
+        """(n, 3) displacement (m) of the body's points, given as they are at t = 0, from time start to end."""
+        turned = (points - self.center) @ (self.turn(end) - self.turn(start)).T
+        return turned + (self.shift(end) - self.shift(start))
 
     def matrix(self, t: float) -> np.ndarray:
         """(4, 4) `place` of (x, y, z, 1)."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from voile.contact.history import State, blank
+from voile.contact.history import History, blank
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import FIRM, Pairs, barrier, within
@@ -39,11 +39,9 @@ class NaturalMap:
     own: np.ndarray
     touch: float
     itself: SelfContact | None = None
-    state: State = field(init=False)
-    softness: float = 1.0  # factor on rho
+    history: History = field(init=False)
     layers: float = LAYERS  # factor on that of the shell against itself
     most: float = np.inf  # N/m, of rho
-    sharp: float = np.inf  # N/m, rho in norms at most: with more of it the round-off of gaps would count
     seconds: float = 0.0  # spent on gaps and candidates
 
     def __post_init__(self) -> None:
@@ -57,18 +55,18 @@ class NaturalMap:
         if self.itself:
             self.partners.append(self.itself)
             sizes.append((0, 4))
-        self.state = blank(sizes, np.zeros((n, 3)))
+        self.history = blank(sizes, np.zeros((n, 3)))
 
-    def rho(self, k: int) -> float:
-        """N/m, scale of the natural map with partner k."""
-        rho = self.softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+    def rho(self, k: int, softness: float = 1.0) -> float:
+        """N/m, scale of the natural map with partner k; softness: a factor on it."""
+        rho = softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
         return min(rho, self.most)
 
     @contextmanager
-    def measured(self) -> Iterator[None]:
-        """For norms: layers with the rho of obstacles, and none above `sharp`. The laws are the same with any rho, the
-        round-off of gaps counts for less."""
-        self.layers, self.most = 1.0, self.sharp
+    def measured(self, sharp: float = np.inf) -> Iterator[None]:
+        """For norms: layers with the rho of obstacles, and none above `sharp` (N/m). The laws are the same with any
+        rho, the round-off of gaps counts for less."""
+        self.layers, self.most = 1.0, sharp
         try:
             yield
         finally:
@@ -93,29 +91,30 @@ class NaturalMap:
     def begin(self, x: np.ndarray, t: float) -> None:
         """Measures slip from positions x (n, 3) at time t on. Friction starts off its bound: whether what
         slipped before now sticks is not left to round-off."""
-        self.state.reference, self.state.factor = x.copy(), t
-        self.state.friction = [(1.0 - OFF_BOUND) * friction for friction in self.state.friction]
+        self.history.reference, self.history.time = x.copy(), t
+        self.history.friction = [(1.0 - OFF_BOUND) * friction for friction in self.history.friction]
         if self.itself:
-            self.state.layers = self.itself.widen(x).copy()
+            self.history.layers = self.itself.widen(x).copy()
 
     def gap(self, k: int, x: np.ndarray, t: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
         return self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
 
-    def pairs(self, x: np.ndarray, t: float, *, frozen: bool = False) -> list[Pairs]:
-        """The pairs with each partner that may carry a reaction. frozen: planes of the state instead of x's."""
+    def pairs(self, x: np.ndarray, t: float, softness: float = 1.0, *, frozen: bool = False) -> list[Pairs]:
+        """The pairs with each partner that may carry a reaction. softness: of rho; frozen: normals and weights of the
+        history instead of x's."""
         began = time.perf_counter()
-        found = [self._near(k, x, t, frozen) for k in range(len(self.partners))]
+        found = [self._near(k, x, t, softness, frozen) for k in range(len(self.partners))]
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
-    def _near(self, k: int, x: np.ndarray, t: float, frozen: bool) -> Pairs | None:
+    def _near(self, k: int, x: np.ndarray, t: float, softness: float, frozen: bool) -> Pairs | None:
         partner, wide = self.partners[k], self.partners[k].widen(x)
         if isinstance(partner, SelfContact):
-            self.state = partner.renewed(wide, self.state, k)
-        s = self.state
+            self.history = partner.renewed(wide, self.history, k)
+        s = self.history
         gap = partner.gaps(wide, t, s)
-        rho = self.rho(k)
+        rho = self.rho(k, softness)
         near = s.normal[k] - rho * gap >= -rho * self.touch
         if frozen:
             near |= (s.bound[k] > 0.0) & np.isfinite(gap)
@@ -130,11 +129,11 @@ class NaturalMap:
         trial = within(plane, s.friction[k][rows] - rho * d)
         lam_n = s.normal[k][rows] - rho * g.gap
         slip = within(plane, d)
-        return Pairs(k, partner.friction, rows, g, unit, steepness, lam_n, trial, slip, grip)
+        return Pairs(k, partner.friction, rho, rows, g, unit, steepness, lam_n, trial, slip, grip)
 
     def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
         if frozen:
-            return self.state.bound[p.index][p.row]
+            return self.history.bound[p.index][p.row]
         return p.friction * p.steepness * np.maximum(p.lam_n, 0.0)
 
     def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +148,7 @@ class NaturalMap:
         where the laws hold."""
         if p.index < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(p.row)))
-        return BARRIER * self.rho(p.index) * barrier(p.gap, self.state.candidates.apart[p.row])
+        return BARRIER * p.rho * barrier(p.gap, self.history.candidates.apart[p.row])
 
     def slips(self, p: Pairs) -> np.ndarray:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
@@ -158,7 +157,7 @@ class NaturalMap:
 
     def counted(self, p: Pairs) -> np.ndarray:
         """(p,) marks the pairs that count on this rank."""
-        return self.partners[p.index].counted(p.row, self.state)
+        return self.partners[p.index].counted(p.row, self.history)
 
     def collect(self, p: Pairs, spread: Callable[[np.ndarray], None], total: np.ndarray) -> None:
         """Adds the forces that `spread` adds to those on the partner's vertices to total (n, 3)."""
@@ -171,7 +170,7 @@ class NaturalMap:
 
     def nearest(self, k: int, x: np.ndarray, t: float) -> np.ndarray:
         """(n,) gaps (m) of the vertices to partner k, where it is near."""
-        return self.partners[k].nearest(self.partners[k].widen(x), t, self.state)
+        return self.partners[k].nearest(self.partners[k].widen(x), t, self.history)
 
     def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
@@ -180,7 +179,7 @@ class NaturalMap:
 
     def mismatch(self, x: np.ndarray, t: float) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
-        pairs, s, total = self.pairs(x, t), self.state, 0.0
+        pairs, s, total = self.pairs(x, t), self.history, 0.0
         held = [normal != 0.0 for normal in s.normal]
         for p in pairs:
             normal, tangential = self.project(p)

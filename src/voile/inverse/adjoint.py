@@ -74,22 +74,21 @@ def minimise(
     problem = target.problem
     design = design or target.rest
     surface = not isinstance(design, PanelRest)
-    with target.obstructed():
-        state = target.rest.state(start) if surface else problem.create_vector()
-        terms = objectives or nearness(target, design, start, regularisation)
-        objective = Reduced(target, design, terms, state, accuracy)
-        z, path = start.copy(), AdjointPath(start, start)
-        metric = design.metric() if isinstance(design, PanelRest) else None
-        radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
-        tao = _optimiser(objective, z, radius, metric)
-        tao.setMaximumIterations(iterations)
-        tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
-        tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
-        try:
-            tao.solve()
-            path.reason = tao.getConvergedReason()
-        finally:
-            tao.destroy()  # calls back to what holds it
+    state = target.rest.state(start) if surface else problem.create_vector()
+    terms = objectives or nearness(target, design, start, regularisation)
+    objective = Reduced(target, design, terms, state, accuracy)
+    z, path = start.copy(), AdjointPath(start, start)
+    metric = design.metric() if isinstance(design, PanelRest) else None
+    radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
+    tao = _optimiser(objective, z, radius, metric)
+    tao.setMaximumIterations(iterations)
+    tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
+    tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
+    try:
+        tao.solve()
+        path.reason = tao.getConvergedReason()
+    finally:
+        tao.destroy()  # calls back to what holds it
     path.trail = objective.trail
     path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
     design.set(path.rest)

@@ -16,9 +16,9 @@ from petsc4py import PETSc
 
 from voile.errors import NotConverged
 from voile.inverse.target import Target
+from voile.problem.discrete import Problem
 from voile.problem.scales import force_floor
-from voile.solver.linear import factorisation_error, negative_pivots, use_lu
-from voile.solver.stability import factored
+from voile.solver.linear import factored, factorisation_error, use_lu
 
 MOST = 40  # Newton iterations of one step
 SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
@@ -70,7 +70,7 @@ class Direct:
 
     def __init__(self, target: Target, tolerance: float = 1e-10):
         """tolerance: residual over the loads' norm."""
-        self.target, self.problem, self.rest = target, target.problem, target.rest
+        self.target, self.rest = target, target.rest
         self.tolerance = tolerance
         self.moved = self.problem.create_vector()  # displacement of the shape to be held from the target
         self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
@@ -80,6 +80,11 @@ class Direct:
         self.lu.setOptionsPrefix("inverse_")
         use_lu(self.lu)
         self.lu.setFromOptions()
+
+    @property
+    def problem(self) -> Problem:
+        """The target's, at its present load."""
+        return self.target.problem
 
     def follow(
         self,
@@ -162,10 +167,10 @@ class Direct:
     def _relax(self, z: PETSc.Vec) -> None:
         """Brings z's director angles, which a guess of the rest shape does not have, to equilibrium between the target
         and that rest shape; as near as Newton's method does."""
-        problem, f, step = self.problem, self.problem.create_vector(), self.problem.create_vector()
-        if not problem.directors:
+        if not self.problem.directors:
             return
         self.target.load(1.0)
+        problem, f, step = self.problem, self.problem.create_vector(), self.problem.create_vector()
         vertices = np.flatnonzero(self.rest.is_vertex) + problem.part.first_global
         before = math.inf
         for _ in range(MOST):
@@ -176,16 +181,16 @@ class Direct:
             before = f.norm()
             problem.tangent(y, self.tangent)
             self.tangent.zeroRowsColumns(vertices.astype(np.int32), 1.0)
-            pc = factored(self.tangent)
-            pc.apply(f, step)
-            pc.destroy()
+            solver = factored(self.tangent)
+            solver.solve(f, step)
+            solver.destroy()
             z.axpy(-1.0, step)
 
     def solve(self, z: PETSc.Vec, fraction: float) -> tuple[str, float, int]:
         """Newton's method at a fraction of the load from z, which ends at the solution: reason of a failure or empty,
         norm of the residual (N) and iterations."""
+        self.target.load(fraction)
         problem, target = self.problem, self.target
-        target.load(fraction)
         f, direction = problem.create_vector(), problem.create_vector()
         norm, best, worst, idle = math.inf, math.inf, 0.0, 0
         near, kept = math.inf, z.copy()  # least norm under round-off, and where
@@ -269,8 +274,8 @@ class Direct:
 
     def check_round_off(self) -> None:
         """Raises NotConverged where the last places of the target's positions are worth more than the loads."""
+        self.target.load(1.0)
         problem, target = self.problem, self.target
-        target.load(1.0)
         y, _ = self._evaluate(problem.create_vector(), problem.create_vector())
         self.linearise(y)
         noise, loads = self.floor(), target.load_norm(y)
@@ -305,9 +310,9 @@ class Direct:
 
     def negative(self, z: PETSc.Vec) -> int:
         """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
-        pc = factored(self.target.stiffness(self.state(z)))
-        count = negative_pivots(pc)
-        pc.destroy()
+        solver = factored(self.target.stiffness(self.state(z)))
+        count = solver.negative
+        solver.destroy()
         assert count is not None  # a Cholesky factorisation tells
         return count
 

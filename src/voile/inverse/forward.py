@@ -17,17 +17,16 @@ class Forward:
 
     def __init__(self, problem: Problem, accuracy: float):
         """accuracy: residual over the loads' norm."""
-        self.problem, self.options = problem, StaticsOptions(tolerance=accuracy)
+        self.problem, self.options = problem.at(1.0), StaticsOptions(tolerance=accuracy)
         self.solver, self.solves = Solver(problem, self.options), 0
 
     def solve(self, y: PETSc.Vec) -> bool:
         """y moves to an equilibrium that descent reaches from it; False where it does not."""
         problem = self.problem
         self.solves += 1
-        problem.load_factor = 1.0
         wanted = tolerance(problem, y, self.options)
         if problem.contact:
-            found = self.solver.solve(y, wanted, last_resort=True).converged
+            found = self.solver.solve(problem, y, wanted, last_resort=True).converged
             problem.unbase(y)
             return found
         return self.solver.descent.run(problem, y, wanted, PATIENCE)
@@ -35,7 +34,6 @@ class Forward:
     def search(self, y: PETSc.Vec) -> bool:
         """y moves to the equilibrium that statics find from it by all means; False where they do not."""
         path = solve_statics(self.problem, replace(self.options, load_steps=1), start=y)
-        self.problem.load_factor = 1.0  # where statics fail they leave that of their last step
         self.problem.unbase(path.state)
         path.state.copy(y)
         return path.converged

@@ -10,7 +10,7 @@ from voile.contact.obstacles import Obstacle
 from voile.errors import InputError
 from voile.inverse.direct import Direct
 from voile.inverse.target import Target
-from voile.problem.contact import attach
+from voile.problem.contact import with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.shell import Shell
@@ -47,7 +47,6 @@ class Observation:
         self.seen = self.rest.is_vertex
         self.count: int = problem.comm.allreduce(int(self.seen.sum()))
         self.steps = steps
-        problem.load_factor = 1.0
         away = 0.0 if observed is None else observed - problem.positions(problem.create_vector())
         self.target = field_vector(problem, away + np.zeros((len(problem.own), 3)))
         self.state: PETSc.Vec | None = None
@@ -102,11 +101,9 @@ class Observation:
     def simulate(self, accuracy: float) -> PETSc.Vec | None:
         """The equilibrium with the present parameters, residual under `accuracy` of the loads; None where there is
         none."""
-        problem = self.problem
+        problem = self.problem = with_obstacles(self.problem, list(self.obstacles), self.offset)
         start = None if self.obstacles else self.state
         steps = self.steps if start is None else 1
-        problem.contact = None
-        attach(problem, list(self.obstacles), self.offset)
         self.simulations += 1
         path = solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=accuracy), start=start)
         problem.unbase(path.state)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
-from voile.contact.history import State
+from voile.contact.history import History
 from voile.errors import NotConverged
 from voile.inverse.forward import Forward
 from voile.inverse.objective import Design, Objective
@@ -36,8 +36,7 @@ class Iterate:
 
 
 class Reduced:
-    """The sum of objectives as a function of the rest shape, with derivatives, and the Python context of its Hessian.
-    The target must be `obstructed`."""
+    """The sum of objectives as a function of the rest shape, its derivatives, and the Python context of its Hessian."""
 
     def __init__(
         self,
@@ -48,18 +47,19 @@ class Reduced:
         accuracy: float = 1e-8,
     ):
         """start: state that the first simulation starts from; accuracy of statics: residual over the loads' norm."""
-        self.target, self.problem, self.design = target, target.problem, design
+        target.load(1.0)
+        problem = target.obstructed()
+        self.target, self.problem, self.design = target, problem, design
         self.objectives = objectives
-        problem = self.problem
         self.tangent = problem.create_matrix()
         self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
         self.factor = self.factors[True]
         self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
         self.start = start.copy()  # of every simulation: see `accept`
-        self.began = problem.contact.state.copy() if problem.contact else None
+        self.began = problem.contact.history.copy() if problem.contact else None
         self.state = self.start.copy()  # the last equilibrium, of the rest shape `at`
         self.at: PETSc.Vec | None = None
-        self.carried: State | None = None  # its contact's history
+        self.carried: History | None = None  # its contact's history
         self.slope = design.create()  # dJ/dz through it
         self.factored: PETSc.Vec | None = None  # the state that `factor` is of
         self.best = math.inf  # objective of the last of the trail
@@ -81,7 +81,7 @@ class Reduced:
                 raise
             self._return(self.at)
             return False
-        self.at, self.carried = z.copy(), contact.state.copy() if contact else None
+        self.at, self.carried = z.copy(), contact.history.copy() if contact else None
         return True
 
     def _equilibrium(self, z: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
@@ -93,7 +93,7 @@ class Reduced:
             raise NotConverged(f"adjoint method: where it starts, {broken}")
         y, contact = self.start.copy(), self.problem.contact
         if contact and self.began:
-            contact.state = self.began.copy()
+            contact.history = self.began.copy()
         found = self.forward.solve(y) or (first and self.forward.search(self.start.copy(y)))
         if not (found and self._linearise(y)):
             raise NotConverged("adjoint method: the first simulation, from the target, did not converge")
@@ -108,7 +108,7 @@ class Reduced:
         """Takes up the last equilibrium again, that of rest shape z, with its reactions and tangent."""
         self.design.set(z)
         if self.problem.contact and self.carried:
-            self.problem.contact.state = self.carried.copy()
+            self.problem.contact.history = self.carried.copy()
         if self.factored is not self.state:
             self._linearise(self.state)
 
@@ -119,13 +119,13 @@ class Reduced:
             return
         self.start = self.state.copy()
         if self.problem.contact:
-            self.began = self.problem.contact.state.copy()
+            self.began = self.problem.contact.history.copy()
 
     def _linearise(self, y: PETSc.Vec) -> bool:
         """Factors the tangent at the equilibrium y, which leaves a saddle first; False where there is none beside."""
         problem, self.factored = self.problem, None
         if problem.contact:  # whose solver has left saddles
-            linear = problem.contact.linearise(problem.positions(y), problem.load_factor)
+            linear = problem.contact.linearise(problem.positions(y), problem.time)
             problem.tangent(y, self.tangent, "exact", linear.blocks())
             symmetric = problem.everywhere(linear.symmetric)
         else:

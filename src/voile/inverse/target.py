@@ -1,7 +1,6 @@
 """The target: the shape that is to be in equilibrium, with what holds it there."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +9,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.candidates import Layers
+from voile.contact.contact import Contact
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import FIRM, FREE, STICK, dot, margin, outer, within
-from voile.contact.state import Contact
 from voile.errors import NotConverged
 from voile.inverse.bounds import Bounds
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.inverse.touches import Touch, clearances, find_touches
-from voile.problem.contact import attach, cone_fields
+from voile.problem.contact import cone_fields, contact_of, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
@@ -37,7 +36,7 @@ class Target:
 
     What is nearer than `tolerance` (m) to touching, a vertex an obstacle or layers each other, may carry a reaction
     there; gaps are kept as they are. `reactions` (c, 3) N are in Coulomb's cones and hold the shell as a whole; they
-    act as dead forces while the rest shape is sought, and are those of contact in the simulation (`obstruct`).
+    act as dead forces while the rest shape is sought, and are those of contact in the simulation (`obstructed`).
     """
 
     def __init__(
@@ -79,8 +78,7 @@ class Target:
     # ---- contacts ----
 
     def _find_touches(self) -> list[Touch]:
-        attach(self.problem, self.obstacles, self.offset, self.layers)
-        contact, self.problem.contact = self.problem.contact, None
+        contact = with_obstacles(self.problem, self.obstacles, self.offset, self.layers).contact
         return find_touches(contact, self.x, self.tolerance) if isinstance(contact, Contact) else []
 
     def _cones(self, friction: bool) -> Cones:
@@ -279,14 +277,11 @@ class Target:
 
     def load(self, fraction: float) -> None:
         """Sets the fraction of all loads."""
-        self.problem.load_factor = fraction
+        self.problem = self.rest.problem = self.problem.at(fraction)
 
     def load_norm(self, y: PETSc.Vec) -> float:
         """Norm of the full loads on the unknowns (N)."""
-        factor, self.problem.load_factor = self.problem.load_factor, 1.0
-        norm = self.problem.load_norm(y)
-        self.problem.load_factor = factor
-        return norm
+        return self.problem.at(1.0).load_norm(y)
 
     def _grounding(self) -> np.ndarray:
         """Global indices of as many unknowns as there are free motions, which held stop them all."""
@@ -334,17 +329,17 @@ class Target:
 
     def smallest(self, z: PETSc.Vec) -> tuple[float, PETSc.Vec]:
         """Smallest omega^2 (1/s^2) of the target, nan where none is found, and its mode."""
-        scale = max(self.problem.load_factor, UNLOADED) * slow_rate(self.problem)
+        scale = max(self.problem.time, UNLOADED) * slow_rate(self.problem)
         return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), scale)
 
     # ---- for the simulation ----
 
-    def obstruct(self) -> None:
-        """Puts obstacles and layers in the way: what bears at the gap that it has in the target, with its reaction;
-        what does not where it is, or just clear of it."""
-        problem, bearing = self.problem, self._bears()
+    def obstructed(self) -> Problem:
+        """The problem under the full load with obstacles and layers in the way, for a simulation: what bears at the gap
+        that it has in the target, with its reaction; what does not where it is, or just clear of it."""
+        problem, bearing = self.problem.at(1.0), self._bears()
         if not self.touches:
-            return
+            return problem
         offset = np.full((len(self.obstacles), len(self.x)), self.offset)
         clearance, layers = CLEARANCE * problem.thickness(), self.layers
         for touch, rows in self._rows():
@@ -359,23 +354,14 @@ class Target:
                 layers = replace(
                     layers, known=known, apart=np.array([apart[code] for code in known.tolist()])
                 )
-        attach(problem, self.obstacles, offset, layers)
-        contact = problem.contact
-        assert isinstance(contact, Contact)
+        problem = with_obstacles(problem, self.obstacles, offset, layers)
+        contact = contact_of(problem)
         contact.begin(self.x, 1.0)
         contact.pairs(self.x, 1.0)  # finds layers
         for touch, rows in self._rows():
             r, bears = self.reactions[rows], bearing[rows]
             normal = dot(r, touch.normal)
-            places = contact.partners[touch.index].places(touch.code[bears], contact.state)
-            contact.state.normal[touch.index][places] = (normal / touch.steepness)[bears]
-            contact.state.friction[touch.index][places] = within(touch.normal, r)[bears]
-
-    @contextmanager
-    def obstructed(self) -> Iterator[None]:
-        """The obstacles in the shell's way, for a simulation."""
-        self.obstruct()
-        try:
-            yield
-        finally:
-            self.problem.contact = None
+            places = contact.partners[touch.index].places(touch.code[bears], contact.history)
+            contact.history.normal[touch.index][places] = (normal / touch.steepness)[bears]
+            contact.history.friction[touch.index][places] = within(touch.normal, r)[bears]
+        return problem

@@ -9,9 +9,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from voile.contact.candidates import Layers, closest
+from voile.contact.contact import Contact
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.pairs import Geometry
-from voile.contact.state import Contact
 
 
 @dataclass
@@ -94,7 +94,7 @@ def find_touches(contact: Contact, x: np.ndarray, tolerance: float) -> list[Touc
 
 
 def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> Touch:
-    partner, state = contact.partners[k], contact.state
+    partner, state = contact.partners[k], contact.history
     assert isinstance(partner, ObstacleContact)
     near = np.flatnonzero((partner.gaps(x, 0.0, state) < tolerance) & partner.free)
     geometry = partner.geometry(near, x, 0.0, state)
@@ -114,7 +114,7 @@ def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> Touch:
     near[:split] &= _nearest(found.vertex[:split], c.weight[:split], c.distance[:split])
     rows = np.flatnonzero(near)
     rows = rows[_independent(found.vertex[rows], c.weight[rows], np.count_nonzero(rows < split))]
-    state = replace(contact.state, candidates=found)
+    state = replace(contact.history, candidates=found)
     geometry = partner.geometry(rows, wide, 0.0, state)
     geometry.gap += layers.thickness
     return Touch(index, partner, geometry, found.code[rows], partner.counted(rows, state))

@@ -6,8 +6,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.contact.state import Contact
 from voile.inverse.target import Target
+from voile.problem.discrete import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import area_vectors
 from voile.solver.path import Path, StaticsOptions
@@ -22,11 +22,11 @@ GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewis
 @dataclass
 class Simulation:
     """A simulation with the rest shape found. sag: largest displacement from the target, or from where it was told to
-    start, over the target's size; contact: the obstacles' at its end; disturbance (m): largest of its start."""
+    start, over the target's size; problem: what it was of; disturbance (m): largest of its start."""
 
     path: Path
     sag: float
-    contact: Contact | None
+    problem: Problem
     disturbance: float = 0.0
 
     @property
@@ -60,18 +60,16 @@ def simulate(
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
     starting at the target, disturbed a thickness off it away from contacts, or at the unknowns `start`. tolerance:
     residual over the loads' norm."""
-    problem = target.problem
     (panels or target.rest).set(z)
-    with target.obstructed():
-        first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
-        beside = _disturbance(target) if disturbed else problem.create_vector()
-        first.axpy(1.0, beside)
-        options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
-        path = solve_statics(problem, options, start=first)
-        problem.unbase(path.state)
-        contact = problem.contact
+    problem = target.obstructed()
+    first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
+    beside = _disturbance(target) if disturbed else problem.create_vector()
+    first.axpy(1.0, beside)
+    options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
+    path = solve_statics(problem, options, start=first)
+    problem.unbase(path.state)
     farthest = beside.norm(PETSc.NormType.INFINITY)
-    return Simulation(path, sag(target, path.state, start), contact, farthest)
+    return Simulation(path, sag(target, path.state, start), problem, farthest)
 
 
 def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:

@@ -1,4 +1,4 @@
-"""Degrees of freedom as an affine function of the unknowns: dof = C unknown + gap + load factor * lift."""
+"""Degrees of freedom as an affine function of the unknowns: dof = C unknown + closure + supports(t)."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
+from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, sewing_matrix
+from voile.problem.held import Supports
 from voile.problem.shell import Shell
 
 
@@ -15,29 +17,26 @@ class Constraints:
     """Degrees of freedom: 3*vertex + axis, then edges.
 
     matrix C (dofs, dofs): unit rows for unknowns, combinations of unknowns for what is sewn to them, empty rows for
-    supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. gap (dofs,) is the displacement that closes
-    the seams of the start shape and the director angles of its clamps, lift (dofs,) the supports' displacement at load
-    factor 1, carried along the seams.
+    supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. closure (dofs,) is the displacement that
+    closes the seams of the start shape and the director angles of its clamps.
     """
 
     matrix: sp.csr_matrix
     free: np.ndarray
     fixed: np.ndarray
-    gap: np.ndarray
-    lift: np.ndarray
+    closure: np.ndarray
+    supports: Supports
 
 
 def build_constraints(shell: Shell, directors: bool) -> Constraints:
     """Constraints of a shell; what a supported vertex is sewn to is supported with it."""
     n, edges = len(shell.points), len(shell.topology.edges)
     sewing, base = _sewing(shell)
-    touches = sewing.astype(bool).astype(float)
-    fixed_base = (touches.T @ shell.fixed.astype(float)) > 0.0
-    share = sewing.T @ shell.fixed.astype(float)
-    motion = (sewing.T @ (shell.motion * shell.fixed)) / np.where(share > 0.0, share, 1.0) * fixed_base
-    gap = np.zeros(3 * n)
+    joined = sewing.astype(bool).astype(float)
+    fixed_base = (joined.T @ shell.fixed.astype(float)) > 0.0
+    closure = np.zeros(3 * n)
     if len(shell.slave):
-        gap = (_closing(shell, sewing, fixed_base) if shell.closing is None else shell.closing).ravel()
+        closure = (_closing(shell, sewing, fixed_base) if shell.closing is None else shell.closing).ravel()
     column = (3 * base[:, None] + np.arange(3)).ravel()
     place = sp.csr_matrix(
         (np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n)
@@ -53,9 +52,22 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
     free[column] = ~fixed_base.ravel()
     free[3 * n :] = director_free
     fixed = np.concatenate([np.diff(vertices.indptr) == 0, ~director_free])
-    none = np.zeros(edges)
-    return Constraints(
-        matrix, free, fixed, np.concatenate([gap, none]), np.concatenate([(sewing @ motion).ravel(), none])
+    closure = np.concatenate([closure, np.zeros(edges)])
+    return Constraints(matrix, free, fixed, closure, _supports(shell, sewing))
+
+
+def _supports(shell: Shell, sewing: sp.csr_matrix) -> Supports:
+    """Those that move, with what is sewn to them: where several meet, it moves as their mean."""
+    moving = np.flatnonzero((shell.motion * shell.fixed).any(axis=1))
+    fixed = shell.fixed.astype(float)
+    share = sewing.T @ fixed
+    along = sp.kron(sewing, sp.identity(3), format="csr")
+    mean = sp.diags((1.0 / np.where(share > 0.0, share, 1.0)).ravel()) @ along.T @ sp.diags(fixed.ravel())
+    carry = (along @ mean).tocsc()[:, (3 * moving[:, None] + np.arange(3)).ravel()].tocoo()
+    size = (3 * len(shell.points) + len(shell.topology.edges), 3 * len(moving))
+    motions = [(np.arange(len(moving)), Motion(displacement=shell.motion[moving]))] if len(moving) else []
+    return Supports(
+        shell.points[moving], motions, sp.csr_matrix((carry.data, (carry.row, carry.col)), shape=size)
     )
 
 

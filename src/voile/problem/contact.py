@@ -9,10 +9,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.candidates import Layers, near_along
+from voile.contact.contact import FREE, SLIP, STICK, Contact
 from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import margin
-from voile.contact.state import FREE, SLIP, STICK, Contact
+from voile.problem.augmented import ImpenetrableLayers
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 
@@ -20,13 +21,13 @@ SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which 
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
-def attach(
+def with_obstacles(
     problem: Problem, obstacles: list[Obstacle], offset: float | np.ndarray, layers: Layers | None = None
-) -> None:
-    """Puts obstacles in the way, at a distance of `offset` (m) from the mid-surface, one or (obstacles, local
-    vertices), and with layers the shell in its own. Nothing if there are none."""
+) -> Problem:
+    """The problem with obstacles in the shell's way, at a distance of `offset` (m) from the mid-surface, one or
+    (obstacles, local vertices), and with layers the shell in its own; without contact if there are none."""
     if not obstacles and layers is None:
-        return
+        return problem.with_contact(None)
     part = problem.part
     unknowns = np.diff(part.matrix.indptr)[: 3 * len(part.vertex)].reshape(-1, 3)
     stiffness = part.fabric[0] * part.fabric[1]
@@ -34,7 +35,8 @@ def attach(
     scale = float(total[0] / total[1])
     movable = unknowns.any(axis=1)
     itself = None if layers is None else _on_itself(problem, layers, movable)
-    problem.contact = Contact(obstacles, offset, scale, movable, problem.own, TOUCH * problem.size(), itself)
+    contact = Contact(obstacles, offset, scale, movable, problem.own, TOUCH * problem.size(), itself)
+    return problem.with_contact(contact, *([ImpenetrableLayers(contact)] if itself else []))
 
 
 def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
@@ -91,9 +93,10 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> SelfCon
     def widen(rows: np.ndarray) -> np.ndarray:
         return np.concatenate(comm.allgather(rows[own]))[everything]
 
-    start, free = widen(part.points + part.gap[: part.points.size].reshape(-1, 3)), widen(movable)
+    start, free = widen(part.points + part.closure[: part.points.size].reshape(-1, 3)), widen(movable)
+    carried = part.supports.between(0.0, 1.0)
     layers.check_start(start)
-    for x in (start, start + widen(part.lift[: part.points.size].reshape(-1, 3))):
+    for x in (start, start + widen(carried[: part.points.size].reshape(-1, 3))):
         layers.check_held(x, free)
     mine = np.zeros(len(place), dtype=bool)
     mine[part.vertex[own]] = True
@@ -104,7 +107,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     """At the local vertices: reaction (n, 3) N on the shell, gap (n,) m to the nearest obstacle or layer, where one is
     near, contact (n,): 0 free, 1 stick, 2 slip; and of Coulomb's cone: normal_reaction (n, 3) N along its axis,
     friction (n,) its coefficient, 0 where nothing bears, margin (n,) the share of friction's bound that is left."""
-    contact, x, factor = contact_of(problem), problem.positions(y), problem.load_factor
+    contact, x, factor = contact_of(problem), problem.positions(y), problem.time
     n, along = len(x), np.zeros_like(x)
     state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
     for pairs in contact.pairs(x, factor):
@@ -138,7 +141,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     """Figures of the contact over all ranks: active, stick, slip (vertices), max_penetration (m), friction_error
     (mismatch of the laws over the reactions' norm), self_contacts (pairs that touch), and of each obstacle name,
     vertices, force (N), moment about the origin (N m) on the shell and contact area (m^2, of the rest shape)."""
-    contact, x, factor, comm = contact_of(problem), problem.positions(y), problem.load_factor, problem.comm
+    contact, x, factor, comm = contact_of(problem), problem.positions(y), problem.time, problem.comm
     fields = contact_fields(problem, y)
     state = fields["contact"][problem.own]
     counts = comm.allreduce(np.array([(state > FREE).sum(), (state == STICK).sum(), (state == SLIP).sum()]))
@@ -178,9 +181,7 @@ def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.
     farthest = float(np.linalg.norm(after - before, axis=1).max(initial=0.0))
     farthest = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
     shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
-    inside = contact_of(problem).inside_on_the_way(
-        before, began, after, problem.load_factor, shares, problem.size()
-    )
+    inside = contact_of(problem).inside_on_the_way(before, began, after, problem.time, shares, problem.size())
     return not problem.everywhere(not inside.any())
 
 

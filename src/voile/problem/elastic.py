@@ -1,9 +1,65 @@
-"""The elastic model of a part of a shell."""
+"""Elasticity of a part of a shell."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
 from voile import _kernels
 from voile.problem.partition import Part
+from voile.problem.terms import Point, Term
+
+SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
+
+
+class Elastic(Term):
+    """The energy of a model, by its kernel; flat: the rest shape has no folds. `seconds`: spent in it, and in what goes
+    into the matrix with it."""
+
+    def __init__(self, part: Part, model: str, flat: bool):
+        self.part, self.model, self.flat = part, model, flat
+        self.seconds = 0.0
+        self.count_from(part.points)
+
+    def count_from(self, start: np.ndarray) -> None:
+        """Displacements count from `start` (local vertices, 3) m."""
+        self.kernel = make_kernel(self.part, self.model, start, self.flat)
+
+    def set_rest(self, flat: bool) -> None:
+        """Takes the part's present rest shape."""
+        self.flat = flat
+        self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        """Counts the time as assembly."""
+        began = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - began
+
+    def energies(self, at: Point) -> dict[str, float]:
+        with self.timed():
+            stretching, bending = self.kernel.energy(at.u, at.phi)
+        return {"stretching": stretching, "bending": bending}
+
+    def forces(self, at: Point) -> np.ndarray:
+        gradient, edge_gradient = np.zeros_like(at.u), np.zeros_like(at.phi)
+        with self.timed():
+            self.kernel.gradient(at.u, at.phi, gradient, edge_gradient)
+        return -np.concatenate([gradient, edge_gradient])
+
+    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+        self.kernel.hessian(at.u, at.phi, kind, scatter)
+
+    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+        """None on which a hinge turns through 180 degrees; 0 where even a millionth does."""
+        du, dphi = step[: len(at.u)], step[len(at.u) :]
+        while self.kernel.folds_over(at.u, at.phi, at.u + most * du, at.phi + most * dphi):
+            most *= 0.5
+            if most < SHORTEST:
+                return 0.0
+        return most
 
 
 def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kernels.Elastic:

@@ -81,6 +81,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         gravity=shell.gravity,
         pressure=shell.pressure,
         force=None if shell.force is None else prolongation.gather(shell.force),
+        load_laws=shell.load_laws,
         topology=topology,
         seam_bending=shell.seam_bending,
         **seams.records(number, hang, hang_weight),

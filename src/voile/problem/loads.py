@@ -1,19 +1,36 @@
-"""External forces on a part of a shell: gravity, pressure, dead forces, end moments, all scaled by the load factor."""
+"""External forces on a part of a shell: gravity, pressure, dead forces, end moments, each with its law in time."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from voile import _kernels
+from voile.problem.elastic import Elastic
 from voile.problem.follower import pressure_energy, pressure_force
+from voile.problem.load import Load
 from voile.problem.moments import EndMoments
 from voile.problem.partition import Part
+from voile.problem.terms import Point, Term
+
+LOADS = ("gravity", "pressure", "force", "moment")
 
 
-class Loads:
-    """gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume under it, None where it has no
-    potential. Degrees of freedom: 3 per local vertex, one per edge."""
+class Loads(Term):
+    """Minus the work of the loads. gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume
+    under it, None where it has no potential; laws in time by LOADS, by default in proportion. Moments turn triangles
+    of `elastic`'s kernel."""
 
-    def __init__(self, part: Part, gravity: np.ndarray, pressure: float, origin: np.ndarray | None):
-        self.part, self.gravity, self.pressure = part, gravity, pressure
+    def __init__(
+        self,
+        part: Part,
+        elastic: Elastic,
+        gravity: np.ndarray,
+        pressure: float,
+        origin: np.ndarray | None,
+        laws: Mapping[str, Load] | None = None,
+    ):
+        self.part, self.elastic, self.gravity, self.pressure = part, elastic, gravity, pressure
+        self.laws = {name: Load() for name in LOADS} | dict(laws or {})
         self.origin = np.zeros(3) if origin is None else origin
         self.moments = EndMoments(part) if part.moment.any() else None
         self.own = np.zeros(len(part.vertex), dtype=bool)
@@ -23,42 +40,52 @@ class Loads:
     def weigh(self) -> None:
         """Takes the weight of the present masses."""
         count = 3 * len(self.part.vertex)
-        self.weight = np.zeros(count + len(self.part.edge))  # N at load factor 1
+        self.weight = np.zeros(count + len(self.part.edge))  # N where all of gravity acts
         self.weight[:count] = (self.part.mass[:count].reshape(-1, 3) * self.gravity).ravel()
 
-    def energies(self, displacement: np.ndarray, positions: np.ndarray, factor: float) -> dict[str, float]:
-        """This rank's shares of minus the work of gravity, pressure and dead forces (J); moments have no potential."""
-        count, rows = len(displacement), np.repeat(self.own, 3)
-        return {
-            "gravity": -factor * float(np.dot(self.weight[:count] * rows, displacement)),
-            "pressure": factor * pressure_energy(positions, self.part, self.pressure, self.origin)
+    def factor(self, name: str, time: float) -> float:
+        """How much of a load acts."""
+        return self.laws[name].factor(time)
+
+    def gravity_at(self, time: float) -> np.ndarray:
+        """(3,) m/s^2."""
+        return self.factor("gravity", time) * self.gravity
+
+    def energies(self, at: Point) -> dict[str, float]:
+        """Moments have no potential."""
+        count, rows = len(at.displacement), np.repeat(self.own, 3)
+        work = {
+            "gravity": float(np.dot(self.weight[:count] * rows, at.displacement)),
+            "pressure": -pressure_energy(at.positions, self.part, self.pressure, self.origin)
             if self.pressure
             else 0.0,
-            "force": -factor * float(np.dot(self.part.force[:count] * rows, displacement)),
+            "force": float(np.dot(self.part.force[:count] * rows, at.displacement)),
         }
+        return {name: -self.factor(name, at.time) * value for name, value in work.items()}
 
-    def forces(
-        self, kernel: _kernels.Elastic, u: np.ndarray, positions: np.ndarray, factor: float
-    ) -> np.ndarray:
-        """(local dofs,) N, and N m on directors, at the kernel's displacements u; complete for this rank's own."""
-        total = factor * (self.weight + self.part.force)
+    def forces(self, at: Point) -> np.ndarray:
+        total = (
+            self.factor("gravity", at.time) * self.weight + self.factor("force", at.time) * self.part.force
+        )
         if self.pressure:
-            total[: len(u)] += factor * pressure_force(positions, self.part, self.pressure)
+            force = pressure_force(at.positions, self.part, self.pressure)
+            total[: len(at.u)] += self.factor("pressure", at.time) * force
         if self.moments:
-            total += factor * self.moments.forces(kernel, u)
+            total += self.factor("moment", at.time) * self.moments.forces(self.elastic.kernel, at.u)
         return total
 
-    def begin_hessian(self, kernel: _kernels.Elastic, positions: np.ndarray, factor: float) -> None:
+    def prepare(self, at: Point) -> None:
         """Tells the kernel what moments add to its Hessian, symmetrised, and keeps their skew part."""
         if self.moments:
-            kernel.set_turn_weights(-factor * self.part.moment)
-            self.moments.linearise(positions)
+            self.elastic.kernel.set_turn_weights(-self.factor("moment", at.time) * self.part.moment)
+            self.moments.linearise(at.positions)
 
-    def add_hessian(self, scatter: _kernels.Scatter, positions: np.ndarray, factor: float) -> None:
-        """Adds the derivative of the pressure's forces."""
-        if self.pressure:
-            _kernels.add_pressure_hessian(scatter, self.part.corners, positions, -factor * self.pressure)
+    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+        """The derivative of the pressure's forces, which is indefinite."""
+        if self.pressure and kind != "safe":
+            pressure = self.factor("pressure", at.time) * self.pressure
+            _kernels.add_pressure_hessian(scatter, self.part.corners, at.positions, -pressure)
 
-    def skew_forces(self, motion: np.ndarray, factor: float) -> np.ndarray | None:
+    def skew_forces(self, motion: np.ndarray, time: float) -> np.ndarray | None:
         """(local dofs,) change of the forces along a motion by the skew part of moments; None without."""
-        return factor * self.moments.skew_forces(motion) if self.moments else None
+        return self.factor("moment", time) * self.moments.skew_forces(motion) if self.moments else None

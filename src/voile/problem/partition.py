@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import Constraints, build_constraints
+from voile.problem.held import Supports
 from voile.problem.shell import Shell, hilbert_order, triangle_areas
 
 
@@ -38,8 +39,8 @@ class Part:
     fabric: np.ndarray  # (4, m) thickness, young, poisson, density
     weight: np.ndarray
     matrix: sp.csr_matrix
-    gap: np.ndarray  # (dofs,) closes the seams of the start shape
-    lift: np.ndarray  # (dofs,) prescribed displacement at load factor 1, carried along the seams
+    closure: np.ndarray  # (dofs,) closes the seams of the start shape
+    supports: Supports
     fixed: np.ndarray
     force: np.ndarray
     mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
@@ -143,7 +144,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     try:
         constraints = build_constraints(shell, directors)
         clamps, angles = held_directors(shell, directors)
-        constraints.gap[3 * len(shell.points) :] = angles
+        constraints.closure[3 * len(shell.points) :] = angles
         numbering = number_unknowns(shell, constraints, comm.size)
     except Exception as failure:
         comm.bcast(failure)
@@ -205,8 +206,8 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         fabric=fabric,
         weight=counted.astype(float),
         matrix=matrix,
-        gap=constraints.gap[dofs],
-        lift=constraints.lift[dofs],
+        closure=constraints.closure[dofs],
+        supports=constraints.supports.of(dofs),
         fixed=constraints.fixed[dofs],
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=_mass(shell)[dofs],

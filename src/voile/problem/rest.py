@@ -49,13 +49,13 @@ class RestDerivative:
 
     def __init__(self, problem: Problem, y: PETSc.Vec):
         part, self.kernel = problem.part, problem.kernel
-        self.shape = problem._shape(y)
+        self.shape = problem.shape(y)
         self.left = self.kernel.invariants_jacobian(*self.shape)
         self.right = self.kernel.rest_jacobian()[:, :, :18]
         thickness, _, _, density = part.fabric
-        per_area = problem.load_factor * thickness * density / 3.0
+        per_area = thickness * density / 3.0
         self.masses = per_area[:, None] * rest_areas(part)[1].reshape(-1, 9)
-        self.gravity = np.tile(problem.loads.gravity, 3)
+        self.gravity = np.tile(problem.loads.gravity_at(problem.time), 3)
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -132,7 +132,7 @@ class RestShape:
         """dR/dp for one factor p on the thickness, Young's modulus (per unit, absolute), Poisson's ratio or density
         of all triangles: N per unit of p."""
         problem, part = self.problem, self.problem.part
-        u, phi = problem._shape(y)
+        u, phi = problem.shape(y)
         m = len(part.corners)
         local = np.zeros((m, 21))
         if name in FABRIC:
@@ -143,7 +143,7 @@ class RestShape:
         if name in ("thickness", "density"):
             thickness, _, _, density = part.fabric
             share = rest_areas(part)[0] / 3.0 * (density if name == "thickness" else thickness)
-            local[:, :9] -= np.tile(problem.load_factor * problem.loads.gravity, 3) * share[:, None]
+            local[:, :9] -= np.tile(problem.loads.gravity_at(problem.time), 3) * share[:, None]
         return problem.gather_triangles(local)
 
     def ratios(self) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
+from voile.problem.load import Load
 
 SAME = 1e-3  # of an edge's length: rest shapes of two that are sewn together lie in one place
 
@@ -20,10 +21,11 @@ class Shell:
 
     points (n, 3) start shape; triangles (m, 3); rest_points (r, 3) and rest_triangles (m, 3) the rest shape, flat
     when it has no folds; thickness, young, poisson, density (m,); model: the kernels' name (voile.elastic.model_name).
-    fixed (n, 3) marks Dirichlet axes, motion (n, 3) their displacement at the end of the load path.
+    fixed (n, 3) marks Dirichlet axes, motion (n, 3) their displacement at time 1, the end of a load path.
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
-    weight x_second. Loads at load factor 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
+    weight x_second. Loads at time 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    load_laws in time, by problem.loads.LOADS: in proportion to it where there is none.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
     seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
     """
@@ -49,6 +51,7 @@ class Shell:
     pressure: float = 0.0
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
+    load_laws: dict[str, Load] = field(default_factory=dict)
     closing: np.ndarray | None = None
     seam_bending: bool = False
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles

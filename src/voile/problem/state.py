@@ -4,16 +4,18 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
-from voile.contact.state import State as History
+from voile.contact.history import History
 
 
 @dataclass
 class State:
-    """Unknowns, the unknowns of the shape that they are counted from, and what contact remembers (None without)."""
+    """Unknowns, the unknowns of the shape that they are counted from, what contact remembers (None without), and the
+    time, in statics the load factor."""
 
     unknowns: PETSc.Vec
     origin: PETSc.Vec
     history: History | None
+    time: float
 
 
 def difference(a: PETSc.Vec, b: PETSc.Vec) -> PETSc.Vec:

@@ -34,11 +34,10 @@ from voile.solver.path import StaticsOptions
 
 # Patience of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8.
 ROUGH_PATIENCE = 8
-SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 
 
 class Solver:
-    """Finds the equilibrium of a problem at its load factor. `norm`: the last one's residual (N; with contact also the
+    """Finds equilibria of a problem at any time. `norm`: the last one's residual (N; with contact also the
     mismatch of its laws); `negative`: eigenvalues of its tangent, None where not known."""
 
     def __init__(self, problem: Problem, options: StaticsOptions, counts: Counts | None = None):
@@ -86,11 +85,12 @@ class Solver:
             return []
         return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).all)]
 
-    def solve(self, y: PETSc.Vec, wanted: float, last_resort: bool, watched: bool = False) -> Outcome:
+    def solve(
+        self, problem: Problem, y: PETSc.Vec, wanted: float, last_resort: bool, watched: bool = False
+    ) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
         last_resort: by all methods, not only by those that follow a branch; watched: in steps that do not lead through
         obstacles."""
-        problem = self.problem
         if not math.isfinite(wanted):
             return Outcome(False, "", "the loads are not finite")
         if not problem.contact:
@@ -98,37 +98,32 @@ class Solver:
             newton = self.mixed if outcome.method == self.mixed.name else self.descent
             self.norm, self.negative = newton.nonlinear.norm, newton.negative
             return outcome
-        problem.contact.sharp = wanted / (SHARP * problem.size())
-        if self._carried_through(y):
+        if _carried_through(problem, y):
             reason = "supports carry layers of the shell through each other in one load step"
             return Outcome(False, "", reason)
         method: Method = self.watched if watched else self.all if last_resort else self.near
         outcome = attempt(method, problem, y, wanted)
         if outcome.converged:
-            self.norm, self.negative = self._norm(y), self.semismooth.negative
+            self.norm = outcome.norm or float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
+            self.negative = self.semismooth.negative
         return outcome
 
-    def _norm(self, y: PETSc.Vec) -> float:
-        return float(np.hypot(*law_norms(self.problem, y, y.duplicate())))
-
-    def leave_saddle(self, y: PETSc.Vec, wanted: float) -> bool:
+    def leave_saddle(self, problem: Problem, y: PETSc.Vec, wanted: float) -> bool:
         """Whether a stable equilibrium was found from the saddle y, where y then is."""
         assert self.off_saddle
-        return attempt(self.off_saddle, self.problem, y, wanted).converged
+        return attempt(self.off_saddle, problem, y, wanted).converged
 
-    def _carried_through(self, y: PETSc.Vec) -> bool:
-        """Whether supports alone, moved from where the load step began, push layers of the shell through each
-        other."""
-        problem, contact = self.problem, self.problem.contact
-        if not (contact and contact.itself and problem.moves):
-            return False
-        target, problem.load_factor = problem.load_factor, contact.state.factor
-        began = problem.positions(y)
-        problem.load_factor = target
-        if not problem.everywhere(np.array_equal(began, contact.state.reference)):
-            return False  # the step is on its way
-        share = contact.free_share(began, problem.positions(y))
-        return problem.comm.allreduce(share, op=MPI.MIN) < 1.0
+
+def _carried_through(problem: Problem, y: PETSc.Vec) -> bool:
+    """Whether supports alone, moved from where the load step began, push layers of the shell through each other."""
+    contact = problem.contact
+    if not (contact and contact.itself and problem.moves):
+        return False
+    began = problem.at(contact.history.time).positions(y)
+    if not problem.everywhere(np.array_equal(began, contact.history.reference)):
+        return False  # the step is on its way
+    share = contact.free_share(began, problem.positions(y))
+    return problem.comm.allreduce(share, op=MPI.MIN) < 1.0
 
 
 class Minimum:

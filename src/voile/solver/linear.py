@@ -133,12 +133,27 @@ class LinearSolver:
         with self.counts.solving():
             self.ksp.solve(b, x)
 
+    def destroy(self) -> None:
+        """Frees the factor."""
+        self.ksp.destroy()
+
     def _more_work_space(self) -> bool:
         """Doubles what the next factorisation may use beyond its estimate; False where that would be absurd."""
         pc = self.ksp.pc
         percent = 2 * max(pc.getFactorMatrix().getMumpsIcntl(14), 20)
         PETSc.Options(pc.getOptionsPrefix() or "").setValue("mat_mumps_icntl_14", percent)
         return percent <= MOST_WORK_SPACE
+
+
+def factored(matrix: PETSc.Mat, counts: Counts | None = None) -> LinearSolver:
+    """A solver of one symmetric matrix, factored by LDL^T."""
+    ksp = PETSc.KSP().create(comm=matrix.comm)
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    use_cholesky(ksp.pc)
+    ksp.pc.setFromOptions()
+    solver = LinearSolver(ksp, counts or Counts())
+    solver.factor(matrix)
+    return solver
 
 
 def add_mass(matrix: PETSc.Mat, mass: PETSc.Vec, shift: float) -> None:

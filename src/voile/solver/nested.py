@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.problem.contact import attach, contact_of, vertex_areas
+from voile.problem.contact import contact_of, vertex_areas, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.levels import coarsen
 from voile.problem.partition import gathered
@@ -65,8 +65,8 @@ class Nested:
         """See Method."""
         if self.level is None:
             return Outcome(False, "nested", "no coarser level")
-        coarse, method = self.level
-        coarse.load_factor = problem.load_factor
+        level, method = self.level
+        coarse = level.at(problem.time)
         z = self._restrict(y)
         loads = coarse.load_norm(z)
         wanted = tolerance * loads / problem.load_norm(y)
@@ -92,7 +92,7 @@ class Nested:
         coarse, contact = Problem(made and made[0], self.problem.comm), self.problem.contact
         coarse.monitor = self.problem.monitor
         if contact:
-            attach(coarse, contact.obstacles, np.max(contact.offset, axis=1, keepdims=True))
+            coarse = with_obstacles(coarse, contact.obstacles, np.max(contact.offset, axis=1, keepdims=True))
         return coarse, self.solver(coarse)
 
     def _restrict(self, y: PETSc.Vec) -> PETSc.Vec:
@@ -105,7 +105,7 @@ class Nested:
         z = coarse.create_vector()
         z.axpy(1.0, field_vector(coarse, shape[coarse.part.vertex] - coarse.positions(z)))
         if coarse.contact:
-            coarse.contact.begin(coarse.positions(z), coarse.load_factor)
+            coarse.contact.begin(coarse.positions(z), coarse.time)
         return z
 
     def _carry(self, z: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -116,7 +116,7 @@ class Nested:
         for k in range(len(contact.obstacles) if contact else 0):
             assert contact is not None
             area = vertex_areas(coarse)[:, None]
-            columns += [contact.state.normal[k][:, None] / area, contact.state.friction[k] / area]
+            columns += [contact.history.normal[k][:, None] / area, contact.history.friction[k] / area]
         table = gathered(coarse, np.hstack(columns))
         if table is not None and made is not None:
             table = np.hstack([made[1].positions(table[:, :3]), made[1].interpolate(table[:, 3:])])
@@ -127,12 +127,12 @@ class Nested:
 
     def _press(self, table: np.ndarray) -> None:
         """Reactions from pressures and shears (local vertices, 4 per obstacle) N/m^2."""
-        state, area = contact_of(self.problem).state, vertex_areas(self.problem)
+        history, area = contact_of(self.problem).history, vertex_areas(self.problem)
         for k in range(table.shape[1] // 4):
             pressure, shear = table[:, 4 * k], table[:, 4 * k + 1 : 4 * k + 4]
             largest = self.problem.comm.allreduce(float(pressure.max(initial=0.0)), op=MPI.MAX)
             bears = np.where(pressure > self.options.faint * largest, area, 0.0)
-            state.normal[k], state.friction[k] = bears * pressure, bears[:, None] * shear
+            history.normal[k], history.friction[k] = bears * pressure, bears[:, None] * shear
 
 
 def _softened(shell: Shell, share: float) -> Shell:

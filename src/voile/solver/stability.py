@@ -10,27 +10,16 @@ from voile.problem.discrete import Problem
 from voile.problem.imperfection import imperfection
 from voile.problem.scales import slow_rate
 from voile.problem.state import State
-from voile.solver.linear import Counts, negative_pivots, use_cholesky
+from voile.solver.linear import Counts, factored, use_cholesky
 from voile.solver.methods.method import Workspace
 
 KICKS = 5  # attempts to leave a saddle, each four times further
 NEUTRAL = 1e-6  # slow rates: an eigenvalue nearer to zero is none
 
 
-def factored(matrix: PETSc.Mat, counts: Counts | None = None) -> PETSc.PC:
-    """LDL^T of a matrix by MUMPS; raises PETSc.Error if it fails."""
-    pc = PETSc.PC().create(comm=matrix.comm)
-    pc.setOperators(matrix)
-    use_cholesky(pc)
-    pc.setFromOptions()
-    with (counts or Counts()).factorising():
-        pc.setUp()
-    return pc
-
-
 def contact_tangent(problem: Problem, y: PETSc.Vec, matrix: PETSc.Mat) -> PETSc.Mat:
     """The exact tangent with sticking vertices held and slipping ones held along the normal."""
-    linear = contact_of(problem).linearise(problem.positions(y), problem.load_factor)
+    linear = contact_of(problem).linearise(problem.positions(y), problem.time)
     problem.tangent(y, matrix, "exact", linear.held())
     return matrix
 
@@ -78,9 +67,9 @@ def smallest_eigenpair(
     for _ in range(60):
         shifted = tangent.copy()
         shifted.axpy(shift, mass, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        pc = factored(shifted, counts)
-        below = negative_pivots(pc)
-        pc.destroy()
+        solver = factored(shifted, counts)
+        below = solver.negative
+        solver.destroy()
         shifted.destroy()
         if below == 0:
             break

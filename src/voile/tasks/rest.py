@@ -90,7 +90,7 @@ def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
 
 def _sewn(shell) -> np.ndarray:
     """(n, 3) the start shape with its seams closed."""
-    return shell.points + build_constraints(shell, False).gap[: shell.points.size].reshape(-1, 3)
+    return shell.points + build_constraints(shell, False).closure[: shell.points.size].reshape(-1, 3)
 
 
 def _guess(job: Run) -> np.ndarray | None:
@@ -118,15 +118,6 @@ def _standing(flat) -> np.ndarray | None:
     first = first_copies(flat)
     vertex[first] = np.arange(len(first))
     return vertex
-
-
-def _at_end(problem, simulation) -> dict:
-    """As `rows`, of a simulation's end."""
-    problem.contact = simulation.contact
-    try:
-        return rows(problem, simulation.path.state)
-    finally:
-        problem.contact = None
 
 
 def _kept(values: dict, keep: np.ndarray | None) -> dict:
@@ -210,4 +201,6 @@ def write_result(job: Run, shell: Shell | None, result: InverseResult, flat: Fla
                 path = simulation.path
                 residual = path.steps[-1].residual if path.steps else math.nan
                 scalars = {"residual": residual, "converged": float(path.converged)}
-                writer.write_step(step, scalars=scalars, **_kept(_at_end(problem, simulation), keep))
+                writer.write_step(
+                    step, scalars=scalars, **_kept(rows(simulation.problem, simulation.path.state), keep)
+                )

@@ -24,7 +24,7 @@ from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.explain import modelled
 from voile.petsc_options import unused_options
-from voile.problem.contact import attach, contact_fields, shell_layers
+from voile.problem.contact import contact_fields, shell_layers, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.shell import Shell
 from voile.results import ResultWriter, StaticMesh, write_summary
@@ -84,9 +84,7 @@ class Run:
     def prepare(self) -> tuple[Shell | None, Problem]:
         """The scene's shell, sewn, and its problem with all that is in its way."""
         shell = self.sewn()
-        problem = self.problem(shell)
-        attach(problem, *self.bodies(), self.layers(shell))
-        return shell, problem
+        return shell, with_obstacles(self.problem(shell), *self.bodies(), self.layers(shell))
 
     def note(self, text: str) -> None:
         """Something a user should know, for the summary."""
@@ -195,7 +193,7 @@ class Steps:
     def _write(self, at: float, residual: float, converged: float, y: PETSc.Vec) -> None:
         start = time.perf_counter()
         scalars = {"residual": residual, "converged": converged}
-        self.writer.write_step(at, scalars=scalars, **rows(self.problem, y))
+        self.writer.write_step(at, scalars=scalars, **rows(self.problem.at(at), y))
         self.run.writing += time.perf_counter() - start
 
 
@@ -209,7 +207,7 @@ def rows(problem: Problem, y: PETSc.Vec) -> dict:
     if problem.contact:
         values["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
         bodies = problem.contact.obstacles
-        values["placements"] = numpy.array([body.motion.matrix(problem.load_factor) for body in bodies])
+        values["placements"] = numpy.array([body.motion.matrix(problem.time) for body in bodies])
     return values
 
 

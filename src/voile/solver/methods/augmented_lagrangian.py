@@ -2,10 +2,11 @@
 the reactions are updated (a Tresca fixed point; Simo & Laursen 1992) and the semismooth method tried.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
+from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
@@ -47,23 +48,21 @@ class AugmentedLagrangian:
         """See Method. Between layers of the shell contact does not start soft: they would collapse, and then no step
         is free."""
         contact, options = contact_of(problem), self.options
-        contact.freeze(problem.positions(y), problem.load_factor)
-        contact.softness = 1.0 if contact.itself else options.softest
+        potential = AugmentedContact(contact, 1.0 if contact.itself else options.softest)
+        potential.freeze(problem.point(y))
         rough = options.roughest * tolerance
         if not contact.itself:
             disturb(problem, y, self.perturbation)
-        try:
-            for _ in range(options.updates):
-                if not self.descent.run(problem, y, max(tolerance, rough), options.iterations):
-                    return Outcome(False, self.name, self.descent.nonlinear.missed(y))
-                contact.adopt(problem.positions(y), problem.load_factor)
-                contact.softness = min(options.hardening * contact.softness, 1.0)
-                settled = self.descent.nonlinear.iterations <= 2 or contact.softness == 1.0
-                if settled and self._finished(problem, y, tolerance):
-                    return Outcome(True, self.name)
-                rough *= 0.1
-        finally:
-            contact.softness = 1.0
+        for _ in range(options.updates):
+            held = problem.with_terms(potential)
+            if not self.descent.run(held, y, max(tolerance, rough), options.iterations):
+                return Outcome(False, self.name, self.descent.nonlinear.missed(y))
+            potential.update(problem.point(y))
+            potential = replace(potential, softness=min(options.hardening * potential.softness, 1.0))
+            settled = self.descent.nonlinear.iterations <= 2 or potential.softness == 1.0
+            if settled and self._finished(problem, y, tolerance):
+                return Outcome(True, self.name)
+            rough *= 0.1
         missed = self.descent.nonlinear.missed(y)
         return Outcome(
             False, self.name, f"{options.updates} updates of the reactions did not converge; {missed}"
@@ -71,7 +70,7 @@ class AugmentedLagrangian:
 
     def _finished(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""
-        residual, mismatch = law_norms(problem, y, y.duplicate())
+        residual, mismatch = law_norms(problem, y, y.duplicate(), tolerance)
         if (residual**2 + mismatch**2) ** 0.5 <= tolerance:
             return True
         return attempt(self.semismooth, problem, y, tolerance).converged

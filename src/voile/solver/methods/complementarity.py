@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.contact.state import Contact
+from voile.contact.contact import Contact
 from voile.errors import InputError
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
@@ -58,7 +58,7 @@ class Inequality:
         self.problem, self.contact, self.tangent, self.home = problem, contact, tangent, y
         x = problem.positions(y)
         own = problem.own & contact.movable
-        gaps = [contact.gap(k, x, problem.load_factor) for k in range(len(contact.obstacles))]
+        gaps = [contact.gap(k, x, problem.time) for k in range(len(contact.obstacles))]
         self.pairs = [np.flatnonzero(own & (gap < REACH * problem.size())) for gap in gaps]
         count = sum(len(v) for v in self.pairs)
         self.count, self.split = count, y.getLocalSize()
@@ -67,7 +67,7 @@ class Inequality:
     def solve(self, wanted: float) -> PETSc.SNES:
         """Solves from the present unknowns and reactions; leaves both at the last iterate."""
         z = self.unknowns
-        state = self.contact.state
+        state = self.contact.history
         z.array[: self.split] = self.home.array_r
         z.array[self.split :] = np.concatenate([state.normal[k][v] for k, v in enumerate(self.pairs)])
         low, high = z.duplicate(), z.duplicate()
@@ -92,7 +92,7 @@ class Inequality:
 
     def _take(self, z: PETSc.Vec) -> None:
         """Unknowns and reactions of z become the present ones, on all ranks that see a candidate's vertex."""
-        problem, state = self.problem, self.contact.state
+        problem, state = self.problem, self.contact.history
         self.home.array[:] = z.array_r[: self.split]
         state.friction = [np.zeros_like(a) for a in state.friction]
         place = np.full(
@@ -115,10 +115,10 @@ class Inequality:
         forces = np.zeros_like(x)
         gaps = []
         for k, obstacle in enumerate(contact.obstacles):
-            pressed = np.flatnonzero(contact.state.normal[k])
-            _, gradient, _ = obstacle.gap_derivatives(x[pressed], problem.load_factor)
-            forces[pressed] += contact.state.normal[k][pressed, None] * gradient
-            gaps.append(contact.gap(k, x, problem.load_factor, self.pairs[k]))
+            pressed = np.flatnonzero(contact.history.normal[k])
+            _, gradient, _ = obstacle.gap_derivatives(x[pressed], problem.time)
+            forces[pressed] += contact.history.normal[k][pressed, None] * gradient
+            gaps.append(contact.gap(k, x, problem.time, self.pairs[k]))
         problem.residual(self.home, part, forces)
         f.array[: self.split] = part.array_r
         f.array[self.split :] = contact.stiffness * np.concatenate(gaps)
@@ -130,12 +130,12 @@ class Inequality:
     def _jacobian_at(self, z: PETSc.Vec) -> PETSc.Mat:
         self._take(z)
         problem, contact = self.problem, self.contact
-        x, factor = problem.positions(self.home), problem.load_factor
+        x, factor = problem.positions(self.home), problem.time
         curved, rows = [], []
         for k, obstacle in enumerate(contact.obstacles):
-            pressed = np.flatnonzero(contact.state.normal[k])
+            pressed = np.flatnonzero(contact.history.normal[k])
             _, _, curvature = obstacle.gap_derivatives(x[pressed], factor)
-            curved.append((pressed, -contact.state.normal[k][pressed, None, None] * curvature))
+            curved.append((pressed, -contact.history.normal[k][pressed, None, None] * curvature))
             rows.append((self.pairs[k], obstacle.gap_derivatives(x[self.pairs[k]], factor)[1]))
         problem.tangent(self.home, self.tangent, "exact", curved)
         gap_rows = self._gap_rows(rows)

@@ -20,13 +20,15 @@ REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isins
 @dataclass
 class Outcome:
     """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
-    saddle: an unstable one found instead."""
+    saddle: an unstable one found instead; norm: of the residual and of what the laws miss at the end (N), where the
+    method knows it."""
 
     converged: bool
     method: str
     reason: str = ""
     gone: bool = False
     saddle: State | None = None
+    norm: float | None = None
 
 
 class Method(Protocol):
@@ -130,4 +132,4 @@ class Nonlinear:
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
         assert self.work.monitor is not None
-        self.work.monitor(self.problem.load_factor, iteration, norm)
+        self.work.monitor(self.problem.time, iteration, norm)

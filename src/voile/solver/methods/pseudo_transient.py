@@ -11,9 +11,11 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
 from voile.problem.discrete import Problem
 from voile.problem.imperfection import disturb
+from voile.problem.inertia import Inertia
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
 from voile.solver.cascade import attempt
@@ -98,8 +100,9 @@ class PseudoTransient:
                 kicks, rate, peak, saddle = kicks + 1, 2.0 * growth, 0.0, None
             before = problem.save(y)
             if slips:
-                contact.begin(problem.positions(y), problem.load_factor)
-            step = problem.with_inertia(rate, problem.positions(y))
+                contact.begin(problem.positions(y), problem.time)
+            inertial = Inertia(problem.vertex_mass(), problem.own, rate, problem.positions(y))
+            step = problem.with_terms(AugmentedContact(contact), inertial)
             done = self._step(step, y, tolerance, loads)
             if done is None or not self._admissible(problem, before, y):
                 problem.restore(y, before)
@@ -115,7 +118,7 @@ class PseudoTransient:
                 return replace(self._failed(_slides(problem, last)), gone=True)
             if not done:
                 continue
-            inertia = step.inertia_norm(y)
+            inertia = step.term_norm(inertial, y)
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
             rate = rate if self._fresh(problem) else self._next(rate, slow)
             if inertia > min(options.near * loads, 0.3 * peak):
@@ -133,7 +136,7 @@ class PseudoTransient:
 
     def _fresh(self, problem: Problem) -> bool:
         """Whether no contact bears yet."""
-        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).state.normal))
+        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).history.normal))
 
     def _next(self, rate: float, slow: float) -> float:
         """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
@@ -155,7 +158,7 @@ class PseudoTransient:
         options, contact, home = self.options, contact_of(problem), y.copy()
         fresh = self._fresh(problem)
         driven = _driven(problem)
-        contact.freeze(problem.positions(y), problem.load_factor)
+        contact.freeze(problem.positions(y), problem.time)
         f = y.duplicate()
         problem.residual(y, f)
         if not contact.itself:  # layers take long to settle again
@@ -165,7 +168,7 @@ class PseudoTransient:
         if fresh and problem.largest_motion(difference(y, home)) > options.fresh + 2.0 * driven:
             return None
         if done:
-            contact.adopt(problem.positions(y), problem.load_factor)
+            contact.adopt(problem.positions(y), problem.time)
             return True
         unfinished = self.descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return False if unfinished else None
@@ -174,7 +177,7 @@ class PseudoTransient:
         """What the semismooth method finds from here, with the slip since the `start` of the load step where it
         can."""
         contact, before = contact_of(problem), problem.save(y)
-        contact.begin(problem.positions(y), problem.load_factor)
+        contact.begin(problem.positions(y), problem.time)
         found = attempt(self.semismooth, problem, y, tolerance)
         if not (found.converged or found.saddle) and self._sharpened(problem, y, tolerance):
             found = attempt(self.semismooth, problem, y, tolerance)
@@ -183,7 +186,7 @@ class PseudoTransient:
             return self._failed("the way on leads through an obstacle")
         if found.converged and (problem.held or contact.moves):
             self._recall(problem, y, tolerance, start)
-        return replace(found, method=self.name)
+        return replace(found, method=self.name, norm=None)
 
     def _sharpened(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
@@ -197,10 +200,10 @@ class PseudoTransient:
         measured from its own last step."""
         contact, began = contact_of(problem), start.history
         assert began is not None
-        found, state = contact.state.copy(), contact.state
-        state.reference, state.factor, state.layers = began.reference, began.factor, began.layers
+        found, history = contact.history.copy(), contact.history
+        history.reference, history.time, history.layers = began.reference, began.time, began.layers
         if not attempt(self.semismooth, problem, y, tolerance).converged:
-            contact.state = found
+            contact.history = found
 
     def _beside(self, problem: Problem, y: PETSc.Vec, saddle: State, kicks: int) -> bool:
         """Whether y is already further from a saddle than the next kick would put it."""
@@ -212,15 +215,15 @@ class WatchedTransient(PseudoTransient):
     """No step may lead a vertex through an obstacle."""
 
     def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
-        was, now = problem.positions(problem.unknowns_of(before)), problem.load_factor
+        was, now = problem.positions(problem.unknowns_of(before)), problem.time
         return not leads_through(problem, was, now, problem.positions(y))
 
 
 def _driven(problem: Problem) -> float:
     """How far supports have moved since the step's start, in sizes of the shell."""
-    lift = float(np.abs(problem.part.lift[: 3 * len(problem.part.vertex)]).max(initial=0.0))
-    share = problem.load_factor - contact_of(problem).state.factor
-    return share * problem.comm.allreduce(lift, op=MPI.MAX) / problem.size()
+    moved = problem.part.supports.between(contact_of(problem).history.time, problem.time)
+    farthest = float(np.abs(moved[: 3 * len(problem.part.vertex)]).max(initial=0.0))
+    return problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
 
 
 def _slides(problem: Problem, step: PETSc.Vec) -> str:

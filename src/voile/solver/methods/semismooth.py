@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from voile.contact.state import Linearised
+from voile.contact.contact import Linearised
 from voile.errors import InputError
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
@@ -22,6 +22,7 @@ from voile.solver.methods.method import Nonlinear, Outcome, Workspace
 from voile.solver.methods.steps import Stall, limit, test, to_round_off
 
 _REASON = PETSc.SNES.ConvergedReason
+SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 
 
 @dataclass
@@ -86,7 +87,9 @@ class Semismooth:
         if done and self.negative:
             reason = "the semismooth Newton method ended at a saddle"
             return Outcome(False, self.name, reason, saddle=problem.save(y))
-        return Outcome(done, self.name, "" if done else self.nonlinear.missed(y))
+        if not done:
+            return Outcome(False, self.name, self.nonlinear.missed(y))
+        return Outcome(True, self.name, norm=self.nonlinear.norm)
 
 
 class Iterate:
@@ -107,7 +110,7 @@ class Iterate:
             None  # an equilibrium to come back to, its norm, SNES's reason
         )
         for it in range(most + 1):
-            residual, mismatch = law_norms(problem, y, f)
+            residual, mismatch = law_norms(problem, y, f, snes.getTolerances()[1])
             norm = float(np.hypot(residual, mismatch))
             first = first or norm
             idle = 0 if norm < 0.5 * best else idle + 1
@@ -124,7 +127,7 @@ class Iterate:
             if it == most or idle > self.options.patience or stalled:
                 self.method.stalled = stalled
                 break
-            linear = contact.linearise(problem.positions(y), problem.load_factor)
+            linear = contact.linearise(problem.positions(y), problem.time)
             symmetric = problem.everywhere(linear.symmetric)
             problem.tangent(y, matrix, kind, linear.blocks())
             solver = self.work.symmetric if symmetric else self.work.unsymmetric
@@ -165,10 +168,10 @@ class Iterate:
             linear.advance(problem.motion(direction))
 
 
-def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec) -> tuple[float, float]:
-    """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N)."""
+def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) -> tuple[float, float]:
+    """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N); tolerance: theirs (N)."""
     contact, x = contact_of(problem), problem.positions(y)
-    with contact.measured():
-        problem.residual(y, f, contact.force(x, problem.load_factor, frozen=False))
-        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.load_factor))
+    with contact.measured(tolerance / (SHARP * problem.size())):
+        problem.residual(y, f, contact.force(x, problem.time, frozen=False))
+        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.time))
     return f.norm(), float(np.sqrt(mismatch))

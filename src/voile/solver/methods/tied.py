@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
-from voile.contact.kept import Kept
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
+from voile.problem.tied import TiedContact
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import Semismooth
@@ -36,15 +36,12 @@ class Tied:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        contact, options = contact_of(problem), self.options
-        tied = Kept(contact, problem.positions(y), problem.load_factor)
-        if problem.everywhere(not tied.bears):
+        options, tied = self.options, TiedContact(contact_of(problem), problem.positions(y), problem.time)
+        if problem.everywhere(not tied.active):
             return Outcome(False, self.name, "no contact is active")
-        contact.kept = tied
-        try:
-            settled = self.descent.run(problem, y, options.settled * tolerance, options.iterations)
-        finally:
-            contact.kept = None
+        settled = self.descent.run(
+            problem.with_terms(tied), y, options.settled * tolerance, options.iterations
+        )
         nonlinear = self.descent.nonlinear
         if not settled and not nonlinear.norm <= options.nearly * tolerance:
             return Outcome(False, self.name, nonlinear.missed(y))

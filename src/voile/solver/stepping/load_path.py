@@ -65,24 +65,24 @@ class LoadPath:
 
     def follow(self, on_step: Progress | None) -> None:
         """Calls on_step after each converged step."""
-        problem, y, control, path = self.problem, self.y, self.control, self.path
-        problem.load_factor = 0.0
+        y, control, path = self.y, self.control, self.path
+        self.problem = self.problem.at(0.0)
         self._begin()
         while control.factor < 1.0:
             if path.attempts >= self.asked.max_steps:
-                problem.load_factor = control.factor
                 path.reason = (
                     f"max_steps = {self.asked.max_steps} load steps ended at load factor {control.factor:g}"
                 )
                 return
             path.attempts += 1
-            problem.load_factor, start = control.target, problem.save(y)
+            start = self.problem.save(y)
+            self.problem = problem = self.problem.at(control.target)
             if problem.contact and problem.contact.moves and not problem.held:
                 self._carry()
             done, outcome = self._solve(control.last_resort)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
-                problem.load_factor = control.factor
+                self.problem = problem.at(control.factor)
                 if not self._retry(outcome):
                     path.reason = f"{outcome.reason}; at load factor {control.target:g}"
                     return
@@ -106,7 +106,7 @@ class LoadPath:
     def _begin(self) -> None:
         """Slip is measured from here on."""
         if self.problem.contact:
-            self.problem.contact.begin(self.problem.positions(self.y), self.problem.load_factor)
+            self.problem.contact.begin(self.problem.positions(self.y), self.problem.time)
 
     def _retry(self, outcome: Outcome) -> bool:
         """Chooses the next try after a failure; False where there is none."""
@@ -130,7 +130,7 @@ class LoadPath:
         before, method = solver.work.counts.iterations, ""
         for _ in range(self.options.rounds):  # loads that follow, and reactions, are others at the end
             wanted = tolerance(problem, y, self.asked)
-            outcome = solver.solve(y, wanted, last_resort, watched and not method)
+            outcome = solver.solve(problem, y, wanted, last_resort, watched and not method)
             self.path.seconds |= {"linear_solve": solver.work.counts.seconds}
             if problem.contact:
                 self.path.seconds |= {"contact": problem.contact.seconds}
@@ -142,7 +142,7 @@ class LoadPath:
         else:
             return None, Outcome(False, method, "the tolerance, taken from the state, does not settle")
         done = LoadStep(
-            problem.load_factor,
+            problem.time,
             solver.work.counts.iterations - before,
             solver.norm,
             wanted,
@@ -168,7 +168,7 @@ class LoadPath:
         leaps = moved > self.options.leap * self._expected() or (control.stable and not stable)
         if leaps and not control.shortest:
             problem.restore(y, start)
-            problem.load_factor = control.factor
+            self.problem = problem.at(control.factor)
             control.leapt()
             return None
         if self.asked.stability and (leaps or not stable or control.target == 1.0):
@@ -195,7 +195,7 @@ class LoadPath:
         problem, y, control = self.problem, self.y, self.control
         contact, x = contact_of(problem), problem.positions(y)
         bears = np.array(
-            [normal[problem.own].sum() for normal in contact.state.normal[: len(contact.obstacles)]]
+            [normal[problem.own].sum() for normal in contact.history.normal[: len(contact.obstacles)]]
         )
         limit = self.options.nearby * problem.size()
         near = [contact.gap(k, x, control.factor) <= limit for k in range(len(bears))]
@@ -211,8 +211,8 @@ class LoadPath:
         of obstacles beside the shell."""
         problem, control = self.problem, self.control
         start, end, contact = control.factor, control.target, contact_of(problem)
-        x = contact.state.reference[problem.own]
-        paths = [(end - start) * problem.part.lift[: contact.state.reference.size]]
+        x = contact.history.reference[problem.own]
+        paths = [problem.part.supports.between(start, end)[: contact.history.reference.size]]
         paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
         farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
         driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
@@ -225,11 +225,11 @@ class LoadPath:
         and whether it is stable, which the path says of its end."""
         problem, y, work = self.problem, self.y, self.solver.work
         stable, value = done.negative == 0 or is_stable(work, problem, y), None
-        if not stable and self.solver.leave_saddle(y, done.tolerance):
+        if not stable and self.solver.leave_saddle(problem, y, done.tolerance):
             self._begin()
             again, _ = self._solve(False)
             done, stable = again or done, is_stable(work, problem, y)
-        if problem.load_factor == 1.0:
+        if problem.time == 1.0:
             if self.asked.eigenvalue or not stable:
                 scale = 0.0 if stable else slow_rate(problem)
                 matrix = contact_tangent(problem, y, work.matrix)

@@ -14,12 +14,11 @@ from functools import partial
 import numpy as np
 
 from voile.contact.equations import Equations, Linearised
-from voile.contact.history import State
-from voile.contact.kept import Kept
+from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, outer
 
-__all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "Linearised", "Pairs", "State"]
+__all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
 CLEAR = 0.02  # sizes: a gap from which it does not end there
@@ -29,15 +28,13 @@ CLEAR = 0.02  # sizes: a gap from which it does not end there
 class Contact(NaturalMap):
     """The natural map as a potential and as equations."""
 
-    kept: Kept | None = None  # whose potential stands in for the laws'
-
     def free_share(self, x: np.ndarray, moved: np.ndarray) -> float:
         """Share of the way from x to `moved` (n, 3) on which no layer passes through another, at most 1."""
         if not self.itself:
             return 1.0
         began = time.perf_counter()
         share = self.itself.layers.free_share(
-            self.itself.widen(x), self.itself.widen(moved), self.state.candidates
+            self.itself.widen(x), self.itself.widen(moved), self.history.candidates
         )
         self.seconds += time.perf_counter() - began
         return share
@@ -60,64 +57,57 @@ class Contact(NaturalMap):
 
     # ---- as a potential ----
 
-    def energy(self, x: np.ndarray, t: float) -> float:
+    def energy(self, x: np.ndarray, t: float, softness: float = 1.0) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
-        if self.kept:
-            return self.kept.energy(x)
         total = 0.0
-        for p in self.pairs(x, t, frozen=True):
+        for p in self.pairs(x, t, softness, frozen=True):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             stuck = np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / self.rho(p.index)
+            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / p.rho
             total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
         return total
 
-    def force(self, x: np.ndarray, t: float, frozen: bool) -> np.ndarray:
+    def force(self, x: np.ndarray, t: float, frozen: bool, softness: float = 1.0) -> np.ndarray:
         """(n, 3) projected trial reactions on the shell (N)."""
-        if self.kept and frozen:
-            return self.kept.force(x)
         total = np.zeros_like(x)
-        for p in self.pairs(x, t, frozen=frozen):
+        for p in self.pairs(x, t, softness, frozen=frozen):
             normal, tangential = self.project(p, frozen)
             if frozen:
                 normal += self.guard(p)[1]
             self.collect(p, partial(p.spread, normal, tangential), total)
         return total
 
-    def blocks(self, x: np.ndarray, t: float, convex: bool):
+    def blocks(self, x: np.ndarray, t: float, convex: bool, softness: float = 1.0):
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
-        if self.kept:
-            yield from self.kept.blocks()
-            return
-        for p in self.pairs(x, t, frozen=True):
+        for p in self.pairs(x, t, softness, frozen=True):
             _, push, stiff = self.guard(p)
-            stiff += self.rho(p.index) * (p.lam_n > 0.0)
+            stiff += p.rho * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
             if not convex:
                 block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             slips = size > bound
             share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
-            plane = self.state.plane[p.index][p.row]
+            plane = self.history.plane[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
             tangent = np.eye(3) - outer(plane, plane) - slips[:, None, None] * outer(along, along)
-            tangent *= self.rho(p.index) * (share * (bound > 0.0))[:, None, None]
+            tangent *= p.rho * (share * (bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.grip)
 
-    def adopt(self, x: np.ndarray, t: float) -> None:
+    def adopt(self, x: np.ndarray, t: float, softness: float = 1.0) -> None:
         """The projected trial reactions, with the barrier's push, become the reactions, and with them bounds and planes
         of the potential."""
-        pairs = self.pairs(x, t)
-        fresh = self.state.each(np.zeros_like)
+        pairs = self.pairs(x, t, softness)
+        fresh = self.history.each(np.zeros_like)
         for p in pairs:
             normal, fresh.friction[p.index][p.row] = self.project(p)
             fresh.normal[p.index][p.row] = normal + self.guard(p)[1]
-        self.state = fresh
+        self.history = fresh
         self.freeze(x, t)
 
     def freeze(self, x: np.ndarray, t: float) -> None:
         """Bounds, planes and grips of the potential as the reactions and positions x have them."""
-        s = self.state
+        s = self.history
         for k, partner in enumerate(self.partners):
             wide = partner.widen(x)
             s.bound[k] = partner.friction * np.maximum(s.normal[k], 0.0)

@@ -1,14 +1,15 @@
-"""Contacts that stay closed and stick, whatever they carry: what a disturbed shell first settles around."""
+"""Contacts tied as they are: active ones stay closed and stick, whatever they carry."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import dot
+from voile.problem.matrix import Blocks
+from voile.problem.terms import Point, Term
 
-STIFF = 100.0  # of a kept contact, over the shell's own at a vertex
+STIFF = 100.0  # of a tied contact, over the shell's own at a vertex
 
 
 @dataclass
@@ -28,50 +29,47 @@ class Springs:
         return np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.home
 
 
-class Kept:
-    """Linear springs in place of all contacts that bear: closed and without slip they carry the present reactions."""
+class TiedContact(Term):
+    """Linear springs in place of all active contacts: closed and without slip they carry the present reactions."""
 
     def __init__(self, contact: NaturalMap, x: np.ndarray, t: float):
-        """What bears at positions x (n, 3)."""
+        """Those active at positions x (n, 3)."""
         self.contact, self.stiffness = contact, STIFF * contact.stiffness
         self.springs: list[Springs] = []
         pairs = contact.pairs(x, t)
-        s = contact.state  # with the layers that are near now
+        s = contact.history  # with the layers that are near now
         for p in pairs:
             g, normal, wide = p.geometry, s.normal[p.index][p.row], contact.partners[p.index].widen(x)
             reaction = normal[:, None] * g.gradient + s.friction[p.index][p.row]
             here = np.einsum("ps,psi->pi", g.weight, wide[g.vertex])
             home = here - p.slip - (g.gap / p.steepness)[:, None] * p.unit
-            bears = normal > 0.0
+            active = normal > 0.0
             parts = (g.vertex, g.weight, reaction, home, contact.counted(p))
-            self.springs.append(Springs(p.index, *(part[bears] for part in parts)))
+            self.springs.append(Springs(p.index, *(part[active] for part in parts)))
 
     @property
-    def bears(self) -> bool:
-        """Whether anything bears on this rank."""
+    def active(self) -> bool:
+        """Whether any contact on this rank is."""
         return any(len(s.own) for s in self.springs)
 
-    def energy(self, x: np.ndarray) -> float:
-        """J, of those that count on this rank."""
+    def energies(self, at: Point) -> dict[str, float]:
         total = 0.0
         for s in self.springs:
-            away = s.away(self.contact.partners[s.partner].widen(x))
+            away = s.away(self.contact.partners[s.partner].widen(at.positions))
             total += float((0.5 * self.stiffness * dot(away, away) - dot(s.reaction, away))[s.own].sum())
-        return total
+        return {"contact": total}
 
-    def force(self, x: np.ndarray) -> np.ndarray:
-        """(n, 3) on the shell (N)."""
-        total = np.zeros_like(x)
+    def forces(self, at: Point) -> np.ndarray:
+        total = np.zeros_like(at.positions)
         for s in self.springs:
             partner = self.contact.partners[s.partner]
-            force = s.reaction - self.stiffness * s.away(partner.widen(x))
+            force = s.reaction - self.stiffness * s.away(partner.widen(at.positions))
             wide = np.zeros((len(partner.free), 3))
             np.add.at(wide, s.vertex, s.weight[:, :, None] * force[:, None])
             total += partner.narrow(wide)
-        return total
+        return at.over_dofs(total)
 
-    def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Hessian, as that of `Contact.blocks`."""
+    def blocks(self, at: Point, kind: str) -> Blocks:
         for s in self.springs:
             count, size = s.weight.shape
             block = np.einsum("ps,pt,ij->psitj", s.weight, s.weight, self.stiffness * np.eye(3))

@@ -1,0 +1,42 @@
+"""Supports as they move in time, and what is sewn to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from voile.contact.motion import Motion
+
+
+@dataclass
+class Supports:
+    """points (h, 3) m: start places of the supported vertices that may move; motions: rows of them, and how they move;
+    carry (dofs, 3h): takes their displacements along the seams."""
+
+    points: np.ndarray
+    motions: list[tuple[np.ndarray, Motion]]
+    carry: sp.csr_matrix
+
+    @property
+    def move(self) -> bool:
+        """Whether any does."""
+        return any(motion.moves for _, motion in self.motions)
+
+    def between(self, start: float, end: float) -> np.ndarray:
+        """(dofs,) prescribed displacement from time start to end (m)."""
+        moved = np.zeros_like(self.points)
+        if start != end:
+            for rows, motion in self.motions:
+                moved[rows] = motion.between(self.points[rows], start, end)
+        return self.carry @ moved.ravel()
+
+    def of(self, dofs: np.ndarray) -> "Supports":
+        """What concerns some degrees of freedom."""
+        carry = self.carry[dofs]
+        needed = np.unique(carry.indices // 3)
+        columns = (3 * needed[:, None] + np.arange(3)).ravel()
+        motions = []
+        for rows, motion in self.motions:
+            mine = np.flatnonzero(np.isin(rows, needed))
+            motions.append((np.searchsorted(needed, rows[mine]), motion.of(mine)))
+        return Supports(self.points[needed], motions, carry[:, columns].tocsr())
