@@ -73,9 +73,11 @@ class Solver:
             near[1:1] = self._nested(transient, options)
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
-            lagrangian = AugmentedLagrangian(descent, self.semismooth, off)
-            led = problem.moves or contact_of(problem).moves  # a cut costs another equilibrium then
-            (near if led else later).insert(len(near) if led else 0, lagrangian)
+            later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
+        if options.fast and (
+            problem.moves or contact_of(problem).moves
+        ):  # a cut costs another equilibrium, and nothing is off balance
+            near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
         self.all = Cascade([*near, *later], self.off_saddle)
 

@@ -81,7 +81,7 @@ class Nested:
     def _coarsened(self) -> tuple[Shell, Prolongation] | None:
         """Rank 0's."""
         made = coarsen(self.problem.shell, self.options.ratio) if self.problem.shell else None
-        return made and (_softened(made[0], len(made[1].kept) / len(made[1].corners)), made[1])
+        return made and (softened(made[0], len(made[1].kept) / len(made[1].corners)), made[1])
 
     @cached_property
     def level(self) -> tuple[Problem, Method] | None:
@@ -135,7 +135,7 @@ class Nested:
             history.normal[k], history.friction[k] = bears * pressure, bears[:, None] * shear
 
 
-def _softened(shell: Shell, share: float) -> Shell:
+def softened(shell: Shell, share: float) -> Shell:
     """A level with a share of the finer one's vertices: its membrane divided by 1/share^2 = (H/h)^4, with the bending
     stiffness and the mass kept."""
     soft, shell = share**-2, copy.copy(shell)

@@ -1,0 +1,109 @@
+"""Nested iteration: where it is used, what its levels are, and that its equilibria lie as low as those without."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from everyday import sheet
+from mpi4py import MPI
+from test_problem import make_shell
+
+from voile.mesh import write_obj
+from voile.problem.discrete import Problem
+from voile.problem.levels import coarsen
+from voile.results import read_result
+from voile.solver.nested import Options, pays, softened
+
+FABRIC = "[shell]\nmesh = 'cloth.obj'\nyoung = 1e6\nthickness = 1e-3\ndensity = 300.0\n"
+CORNERS = "[[fix]]\nselect = { box = [[-1e-9, -1, -1e-9], [1e-9, 1, 1e-9]] }\n" + (
+    "[[fix]]\nselect = { box = [[0.999999, -1, -1e-9], [1.000001, 1, 1e-9]] }\n"
+)
+BALL = "[[obstacle]]\nshape = 'sphere'\ncenter = [0.5, -0.301, 0.5]\nradius = 0.3\nfriction = 0.3\n"
+
+
+def square(cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """A square of 1 m in the plane y = 0, its corner at the origin."""
+    points, triangles = sheet(1.0, 1.0, 1.0 / cells)
+    return points - points.min(axis=0), triangles
+
+
+@pytest.fixture
+def scene(tmp_path) -> Path:
+    """A cloth of 25 x 25 cells, 676 vertices, with gravity along -y; tables are appended to the file."""
+    write_obj(tmp_path / "cloth.obj", *square(25))
+    path = tmp_path / "scene.toml"
+    path.write_text(FABRIC + "[loads]\ngravity = [0.0, -9.81, 0.0]\n")
+    return path
+
+
+def voile(*arguments: object) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "voile.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def solved(scene: Path, out: Path, *more: str) -> dict:
+    voile("run", scene, "-o", out, *more)
+    return json.loads((out / "summary.json").read_text())
+
+
+@pytest.mark.parametrize(("tables", "higher"), [(CORNERS, 1e-6), (BALL, 0.02)], ids=["corners", "ball"])
+def test_its_equilibrium_is_stable_and_as_low(scene, tmp_path, tables, higher):
+    """Without friction the same minimum; with friction another drape may be found, but not one much higher."""
+    scene.write_text(scene.read_text() + tables)
+    nested = solved(scene, tmp_path / "nested")
+    plain = solved(scene, tmp_path / "plain", "--set", "statics.nested=false")
+    assert any(method.startswith("nested ") for method in nested["method"])
+    assert not any(method.startswith("nested ") for method in plain["method"])
+    assert nested["stable"] and nested["residual_norm"] <= nested["residual_tolerance"]
+    low = sum(plain["energy"].values())
+    assert sum(nested["energy"].values()) <= low + higher * abs(low)
+
+
+def test_the_same_on_two_ranks(scene, tmp_path, run_on):
+    scene.write_text(scene.read_text() + CORNERS)
+    shapes = []
+    for ranks in (1, 2):
+        run_on(ranks, scene, tmp_path / str(ranks), 200)
+        with read_result(tmp_path / str(ranks)) as result:
+            shapes.append(result.points())
+    assert np.ptp(shapes[0][:, 1]) > 0.5
+    assert np.abs(shapes[1] - shapes[0]).max() < 1e-7
+
+
+def test_explain_tells_of_it(scene):
+    scene.write_text(scene.read_text() + CORNERS)
+    assert "+ nested levels" in voile("explain", scene)
+    for setting, reason in {
+        "statics.nested=false": "statics.nested is false",
+        "statics.load_steps=5": "statics.load_steps is given",
+        "contact.self_contact=true": "layers are kept apart",
+    }.items():
+        text = voile("explain", scene, "--set", setting)
+        line = next(line for line in text.splitlines() if "nested levels" in line)
+        assert line.strip().startswith("-") and reason in line
+
+
+def test_a_level_is_softer_in_its_plane_only():
+    points, triangles = square(16)
+    shell = make_shell(points, triangles)
+    made = coarsen(shell)
+    assert made is not None
+    share = len(made[0].points) / len(points)
+    soft = softened(made[0], share)
+    membrane, bending = (soft.young * soft.thickness**power for power in (1, 3))
+    assert np.allclose(membrane, share**2 * made[0].young * made[0].thickness, rtol=1e-12)
+    assert np.allclose(bending, made[0].young * made[0].thickness ** 3, rtol=1e-12)
+    assert np.allclose(soft.density * soft.thickness, made[0].density * made[0].thickness, rtol=1e-12)
+
+
+def test_small_meshes_are_solved_at_once():
+    points, triangles = square(4)
+    problem = Problem(make_shell(points, triangles), MPI.COMM_SELF)
+    assert not pays(problem)
+    assert pays(problem, Options(smallest=10))
