@@ -26,11 +26,11 @@ class Statics:
     tolerance: float = key(
         Number(above=0, below=1), "norm of the residual over the norm of the load", default=1e-8
     )
+    stability: bool = key(Boolean(), "test whether the end state is stable", default=True)
+    eigenvalue: bool = key(Boolean(), "also its smallest eigenvalue", default=False)
     nested: bool = key(
         Boolean(), "coarser levels of the mesh first, where only loads lead the shell", default=True
     )
-    stability: bool = key(Boolean(), "test whether the end state is stable", default=True)
-    eigenvalue: bool = key(Boolean(), "also its smallest eigenvalue", default=False)
 
 
 @dataclass(frozen=True, kw_only=True)

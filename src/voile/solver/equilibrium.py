@@ -74,9 +74,9 @@ class Solver:
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
             later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
-        if options.fast and (
-            problem.moves or contact_of(problem).moves
-        ):  # a cut costs another equilibrium, and nothing is off balance
+        contact = contact_of(problem)
+        if options.fast and not contact.itself and (problem.moves or contact.moves):
+            # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
             near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
         self.all = Cascade([*near, *later], self.off_saddle)
