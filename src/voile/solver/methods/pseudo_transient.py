@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
 from voile.problem.discrete import Problem
-from voile.problem.imperfection import disturb
+from voile.problem.imperfection import perturb
 from voile.problem.inertia import Inertia
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
@@ -162,7 +162,7 @@ class PseudoTransient:
         f = y.duplicate()
         problem.residual(y, f)
         if not contact.itself:  # layers take long to settle again
-            disturb(problem, y, self.perturbation)
+            perturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         done = self.descent.run(problem, y, rough, options.iterations)
         if fresh and problem.largest_motion(difference(y, home)) > options.fresh + 2.0 * driven:
@@ -192,7 +192,7 @@ class PseudoTransient:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
         if round_off(problem, y)[0] <= self.options.blurred * tolerance:
             return False
-        problem.rebase(y)
+        problem.move_origin(y)
         return True
 
     def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> None:
