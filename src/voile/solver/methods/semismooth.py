@@ -71,7 +71,7 @@ class Semismooth:
         outcome = self._run(problem, y, tolerance)
         if not self.stalled:
             return outcome
-        problem.rebase(y)  # the rounding of large displacements may hide that it has converged
+        problem.move_origin(y)  # the rounding of large displacements may hide that it has converged
         outcome = self._run(problem, y, tolerance)
         reason = to_round_off(problem, y, self.nonlinear.norm, tolerance) if self.stalled else ""
         return Outcome(True, self.name, reason) if reason else outcome
