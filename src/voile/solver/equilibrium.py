@@ -74,7 +74,7 @@ class Solver:
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
             later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
-        if options.fast and (
+        if options.first == "newton" and (
             problem.moves or contact_of(problem).moves
         ):  # a cut costs another equilibrium, and nothing is off balance
             near, later = [first, *later], [tied]
