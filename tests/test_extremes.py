@@ -83,7 +83,7 @@ def test_rebase_changes_no_shape_and_no_force():
     y.array[:] = 1e-3 * np.sin(np.arange(problem.unknowns))
     problem.residual(y, before)
     shape, energies = problem.local(y), problem.energies(y)
-    problem.rebase(y)
+    problem.move_origin(y)
     y.set(0.0)
     problem.residual(y, after)
     for old, new in zip(shape, problem.local(y), strict=True):
@@ -104,7 +104,7 @@ def test_rebase_resolves_what_large_displacements_hide():
     assert residual.norm() == pytest.approx(last.residual) and last.residual <= last.tolerance
     stored = round_off(problem, path.state)[0]
     assert stored > 0.1 * last.tolerance
-    problem.rebase(path.state)
+    problem.move_origin(path.state)
     path.state.scale(1e-12)
     assert round_off(problem, path.state)[0] <= 1e-9 * stored
 

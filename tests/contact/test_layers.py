@@ -42,9 +42,9 @@ def test_a_seam_does_not_join_its_far_ends():
     """Only what lies on the same few edges cannot touch, not all along a seam."""
     for share in (0.0, 0.3):
         shell, _ = sewn_panels(share)
-        barred = shell_layers(shell, OFFSET, 0.0).barred
-        length = np.linalg.norm(shell.points[barred[:, 0]] - shell.points[barred[:, 1]], axis=1)
-        pairs = {tuple(pair) for pair in np.sort(barred, axis=1).tolist()}
+        excluded = shell_layers(shell, OFFSET, 0.0).excluded
+        length = np.linalg.norm(shell.points[excluded[:, 0]] - shell.points[excluded[:, 1]], axis=1)
+        pairs = {tuple(pair) for pair in np.sort(excluded, axis=1).tolist()}
         assert all(tuple(sorted(pair)) in pairs for pair in zip(shell.slave, shell.first, strict=True))
         assert length.max() < 2.1 * CELL
 
@@ -57,7 +57,7 @@ def test_what_a_sliver_parts_cannot_touch():
     points[above, :2] += [0.5 * CELL, CELL - 0.8 * OFFSET]  # a row of cells is squeezed
     shell = shell_of(points, triangles, young=1e6, thickness=2 * OFFSET, density=300.0)
     layers = shell_layers(shell, OFFSET, 0.0)
-    everything = replace(layers, barred=np.zeros((0, 2), dtype=int))
+    everything = replace(layers, excluded=np.zeros((0, 2), dtype=int))
     assert len(everything.nearer(2.0 * OFFSET)) and not len(layers.nearer(2.0 * OFFSET))
 
 
@@ -67,13 +67,13 @@ def test_layers_caught_in_a_gaping_seam_cannot_touch():
     shell, patch = sewn_panels(0.3, gape)
     layers = shell_layers(shell, OFFSET, 0.0)
     assert layers.caught > 0 and len(layers.nearer(0.99 * gape)) == 0
-    caught = (layers.barred >= patch).sum(axis=1) == 1  # with one of the panels
+    caught = (layers.excluded >= patch).sum(axis=1) == 1  # with one of the panels
     assert caught.any()
-    everything = replace(layers, barred=np.zeros((0, 2), dtype=int))
+    everything = replace(layers, excluded=np.zeros((0, 2), dtype=int))
     assert len(everything.nearer(0.99 * gape))
     shell, patch = sewn_panels(0.3)
     assert shell_layers(shell, OFFSET, 0.0).caught == 0
-    assert not ((shell_layers(shell, OFFSET, 0.0).barred >= patch).sum(axis=1) == 1).any()
+    assert not ((shell_layers(shell, OFFSET, 0.0).excluded >= patch).sum(axis=1) == 1).any()
 
 
 def test_the_barrier_is_none_where_layers_do_not_meet():

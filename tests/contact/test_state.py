@@ -74,7 +74,7 @@ def test_tied_contacts_are_springs_that_carry_their_reactions():
     tied = TiedContact(contact, x, 1.0)
     (springs,) = tied.springs
     assert tied.active and (springs.reaction != 0.0).any()
-    assert np.abs(springs.away(x)).max() > 1e-4  # m, off where they close without slip
+    assert np.abs(springs.extension(x)).max() > 1e-4  # m, off where they close without slip
     force = tied.forces(at(x)).reshape(-1, 3)
     slope = -np.sum(force * direction)
     assert min(taylor_rates(lambda z: tied.energies(at(z))["contact"], slope, x, direction)) > 1.9
@@ -83,7 +83,7 @@ def test_tied_contacts_are_springs_that_carry_their_reactions():
         slope[vertex] += np.einsum("pij,pj->pi", block, direction[vertex])
     moved = force - tied.forces(at(x + direction)).reshape(-1, 3)
     assert np.abs(moved - slope).max() < 1e-9 * np.abs(slope).max()
-    springs.home = springs.home + springs.away(x)
+    springs.rest = springs.rest + springs.extension(x)
     resting = np.zeros_like(x)
     resting[springs.vertex[:, 0]] = springs.reaction
     assert np.abs(tied.forces(at(x)).reshape(-1, 3) - resting).max() < 1e-12 * np.abs(resting).max()

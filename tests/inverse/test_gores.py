@@ -58,7 +58,7 @@ def draped(young):
     problem = Problem(made, MPI.COMM_SELF)
     path = solve_statics(problem, StaticsOptions())
     assert path.converged and path.stable
-    problem.unbase(path.state)
+    problem.reset_origin(path.state)
     return replace(made, points=problem.positions(path.state)), panel, made
 
 
@@ -81,7 +81,7 @@ def away(whole, flat):
     problem = Problem(made, MPI.COMM_SELF)
     path = solve_statics(problem, StaticsOptions())
     assert path.converged and path.stable
-    problem.unbase(path.state)
+    problem.reset_origin(path.state)
     moved = np.linalg.norm(problem.positions(path.state) - whole.points, axis=1)
     return moved.max() / np.ptp(whole.points[:, 2])
 

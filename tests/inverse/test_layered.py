@@ -51,7 +51,7 @@ def test_cloth_held_by_cloth():
     target, report = result.target, inverse_report(result)["reactions"]
     load = target.problem.weight_force()[: 3 * len(points)].reshape(-1, 3)
     np.testing.assert_allclose(report["force"], -load.sum(axis=0), atol=1e-9)
-    on_rod, between = target.touches
+    on_rod, between = target.contacts
     pressed = between.spread(target.reactions[len(on_rod) :])
     np.testing.assert_allclose(pressed[above].sum(axis=0), -load[above].sum(axis=0), atol=1e-9)
     assert report["least_margin"] > 0.0 and (between.gap > 2.0 * OFFSET + 0.5 * HOVER).all()
@@ -103,7 +103,7 @@ def test_derivative_by_the_rest_positions():
     target.jacobian(target.rest.state(z), matrix)
     slope = problem.create_vector()
     matrix.mult(direction, slope)
-    between = target.reactions[len(target.touches[0]) :]
+    between = target.reactions[len(target.contacts[0]) :]
     assert (np.linalg.norm(between, axis=1) > 0.0).sum() > 10
     steps = 1e-6 * 0.5 ** np.arange(4)
     missed = [np.linalg.norm(balance(s) - first - s * slope.array) for s in steps]
@@ -124,7 +124,7 @@ def test_pairs_between_layers_are_independent():
     shape = shell(points, np.concatenate([lower, upper + len(below)]), np.zeros(points.shape, dtype=bool))
     shape.fixed[: len(below)] = True
     target = Target(Problem(shape), shape, [], OFFSET, 1e-3, layers=shell_layers(shape, OFFSET, 0.4))
-    (between,) = target.touches
+    (between,) = target.contacts
     rows = np.zeros((len(between), len(points)))
     np.add.at(rows, (np.arange(len(between))[:, None], between.geometry.vertex), between.geometry.weight)
     assert len(between) > 60 and len(np.unique(between.geometry.vertex)) > 100

@@ -6,8 +6,8 @@ from mesh_helpers import generator
 from pattern_shapes import cylinder, gores, octahedron, ramp, skirt, t_shirt, torus
 
 from voile.errors import InputError
-from voile.inverse.apart import flatten_apart
 from voile.inverse.flatten import distortion, flatten, flatten_disc, overlaps
+from voile.inverse.overlaps import split_overlaps
 from voile.inverse.panels import Panels, split
 from voile.inverse.pattern import sewing
 from voile.inverse.stitched import add_stitches
@@ -145,7 +145,7 @@ def test_what_overlaps_itself_is_cut_in_two(shape, pieces):
     points, triangles = shape()
     whole = flatten(split(triangles, points))
     assert overlaps(whole.coordinates[whole.panels.outlines[0]])
-    flat = flatten_apart(triangles, points)
+    flat = split_overlaps(triangles, points)
     assert len(flat.panels.names) == pieces
     assert not any(overlaps(flat.coordinates[outline]) for outline in flat.panels.outlines)
     assert len(flat.panels.seams) >= len(whole.panels.seams) + pieces - 1

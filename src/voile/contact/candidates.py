@@ -21,21 +21,21 @@ ACROSS = ((0, 1), (0, 2), (0, 3)), ((0, 2), (0, 3), (1, 2), (1, 3))  # a stencil
 @dataclass(frozen=True)
 class Candidates:
     """Pairs that may touch near the positions home (n, 3): vertex (c, 4), the first `faces` of them a vertex and a
-    triangle, then edges and edges; code (c,) ascending, what a pair is known by; apart (c,) m, the distance that it
+    triangle, then edges and edges; code (c,) ascending, what a pair is known by; min_distance (c,) m, that it
     keeps."""
 
     code: np.ndarray
     vertex: np.ndarray
     faces: int
     home: np.ndarray
-    apart: np.ndarray
+    min_distance: np.ndarray
 
 
 @dataclass
 class Layers:
     """All n vertices of a shell as layers that keep `thickness` (m) between their mid-surfaces.
 
-    points (n, 3) m; triangles (m, 3); edges (e, 2); barred (b, 2): vertices too near along the cloth to touch, or
+    points (n, 3) m; triangles (m, 3); edges (e, 2); excluded (b, 2): vertices too near along the cloth to touch, or
     `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient; known (k,): codes of pairs,
     ascending, that keep another distance apart (k,) m.
     """
@@ -43,20 +43,20 @@ class Layers:
     points: np.ndarray
     triangles: np.ndarray
     edges: np.ndarray
-    barred: np.ndarray
+    excluded: np.ndarray
     thickness: float
     friction: float
     caught: int = 0
     known: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    apart: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    min_distance: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
         ipctk.set_logger_level(ipctk.LoggerLevel.error)  # it warns of small gaps, as touching layers have
         self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
         self.edges = np.ascontiguousarray(self.edges, dtype=np.int32)
-        self._barred = self._pair_code(*self.barred.T)
-        self._wary = np.isin(np.arange(len(self.points)), self.barred)  # vertices of those pairs
+        self._excluded = self._pair_code(*self.excluded.T)
+        self._wary = np.isin(np.arange(len(self.points)), self.excluded)  # vertices of those pairs
         self._split = len(self.triangles) * len(self.points)  # codes from here on are of edges
         self._mesh = ipctk.CollisionMesh(self.points, self.edges, self.triangles)
 
@@ -89,9 +89,9 @@ class Layers:
         ).astype(np.int64)
 
     def _named(self, code: np.ndarray, x: np.ndarray) -> Candidates:
-        apart = np.full(len(code), self.thickness)
-        apart[np.isin(code, self.known)] = self.apart[np.isin(self.known, code)]
-        return Candidates(code, self._vertices(code), self._faces(code), x.copy(), apart)
+        least = np.full(len(code), self.thickness)
+        least[np.isin(code, self.known)] = self.min_distance[np.isin(self.known, code)]
+        return Candidates(code, self._vertices(code), self._faces(code), x.copy(), least)
 
     def valid(self, candidates: Candidates, x: np.ndarray) -> bool:
         """Whether no other pairs than the candidates can touch at positions x (n, 3)."""
@@ -116,7 +116,7 @@ class Layers:
         return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
 
     def check_start(self, x: np.ndarray) -> None:
-        """Raises InputError where layers at x (n, 3) are in the same place, or (away from what is barred) through each
+        """Raises InputError where layers at x (n, 3) are in the same place, or (but for what is excluded) through each
         other."""
         here = self.find(x)
         distance = closest(here, x).distance
@@ -136,8 +136,8 @@ class Layers:
             )
 
     def _crossing(self, x: np.ndarray) -> np.ndarray:
-        """Vertices of edges that pass through a triangle, away from what is barred."""
-        apart = self.triangles[~np.isin(self.triangles, self.barred).any(axis=1)]
+        """Vertices of edges that pass through a triangle, away from what is excluded."""
+        apart = self.triangles[~np.isin(self.triangles, self.excluded).any(axis=1)]
         sides = np.unique(np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
         boxes = ipctk.LBVH()
         boxes.build(x, sides, apart, 0.0)
@@ -154,7 +154,7 @@ class Layers:
         c = closest(here, x)
         held = ~((c.weight != 0.0) & free[here.vertex]).any(axis=1)
         near = np.where(held, c.distance, np.inf)
-        if (near < (1.0 - SAME) * here.apart).any():
+        if (near < (1.0 - SAME) * here.min_distance).any():
             vertex = here.vertex[np.argmin(near), 0]
             raise InputError(
                 f"contact.self_contact: supports hold layers of the shell {near.min():.4g} m apart at vertex {vertex}, "
@@ -170,13 +170,13 @@ class Layers:
         return face, self._split + low * e + high
 
     def _open(self, code: np.ndarray) -> np.ndarray:
-        """(c,) marks those of codes, all of faces or all of edges, that are not barred."""
-        vertex, barred = self._vertices(code), np.zeros(len(code), dtype=bool)
+        """(c,) marks those of codes, all of faces or all of edges, that are not excluded."""
+        vertex, excluded = self._vertices(code), np.zeros(len(code), dtype=bool)
         for i, j in ACROSS[0 if self._faces(code) else 1]:
             one, two = vertex[:, i], vertex[:, j]
             rows = np.flatnonzero(self._wary[one] & self._wary[two])
-            barred[rows] |= np.isin(self._pair_code(one[rows], two[rows]), self._barred)
-        return ~barred
+            excluded[rows] |= np.isin(self._pair_code(one[rows], two[rows]), self._excluded)
+        return ~excluded
 
     def _pair_code(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         return np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)

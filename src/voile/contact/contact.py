@@ -16,9 +16,9 @@ import numpy as np
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
-from voile.contact.pairs import FIRM, FREE, SLIP, STICK, Pairs, outer
+from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
 
-__all__ = ["FIRM", "FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
+__all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
 CLEAR = 0.02  # sizes: a gap from which it does not end there
@@ -34,12 +34,12 @@ class Contact(NaturalMap):
             return 1.0
         began = time.perf_counter()
         share = self.itself.layers.free_share(
-            self.itself.widen(x), self.itself.widen(moved), self.history.candidates
+            self.itself.gather(x), self.itself.gather(moved), self.history.candidates
         )
         self.seconds += time.perf_counter() - began
         return share
 
-    def inside_on_the_way(
+    def inside_between(
         self, x: np.ndarray, began: float, moved: np.ndarray, ended: float, shares: np.ndarray, size: float
     ) -> np.ndarray:
         """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
@@ -88,15 +88,15 @@ class Contact(NaturalMap):
             size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
             slips = size > bound
             share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
-            plane = self.history.plane[p.index][p.row]
+            normal = self.history.frozen_normal[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
-            tangent = np.eye(3) - outer(plane, plane) - slips[:, None, None] * outer(along, along)
+            tangent = np.eye(3) - outer(normal, normal) - slips[:, None, None] * outer(along, along)
             tangent *= p.rho * (share * (bound > 0.0))[:, None, None]
-            yield p.stencil, block + p.over_vertices(tangent, p.grip)
+            yield p.stencil, block + p.over_vertices(tangent, p.slip_weight)
 
     def adopt(self, x: np.ndarray, t: float, softness: float = 1.0) -> None:
-        """The projected trial reactions, with the barrier's push, become the reactions, and with them bounds and planes
-        of the potential."""
+        """The projected trial reactions, with the barrier's push, become the reactions, and with them what is frozen
+        in the potential."""
         pairs = self.pairs(x, t, softness)
         fresh = self.history.each(np.zeros_like)
         for p in pairs:
@@ -106,19 +106,19 @@ class Contact(NaturalMap):
         self.freeze(x, t)
 
     def freeze(self, x: np.ndarray, t: float) -> None:
-        """Bounds, planes and grips of the potential as the reactions and positions x have them."""
+        """Tresca bounds, normals and weights of the potential as the reactions and positions x have them."""
         s = self.history
         for k, partner in enumerate(self.partners):
-            wide = partner.widen(x)
-            s.bound[k] = partner.friction * np.maximum(s.normal[k], 0.0)
-            s.bound[k][~np.isfinite(partner.gaps(wide, t, s))] = 0.0
-            rows = np.flatnonzero(s.bound[k] > 0.0)
+            wide = partner.gather(x)
+            s.tresca[k] = partner.friction * np.maximum(s.normal[k], 0.0)
+            s.tresca[k][~np.isfinite(partner.gaps(wide, t, s))] = 0.0
+            rows = np.flatnonzero(s.tresca[k] > 0.0)
             if len(rows):
                 g = partner.geometry(rows, wide, t, s)
-                steepness = np.linalg.norm(g.gradient, axis=1)
-                s.plane[k][rows] = g.gradient / steepness[:, None]
-                s.grip[k][rows] = g.weight
-                s.bound[k][rows] *= steepness
+                gradient_norm = np.linalg.norm(g.gradient, axis=1)
+                s.frozen_normal[k][rows] = g.gradient / gradient_norm[:, None]
+                s.frozen_weight[k][rows] = g.weight
+                s.tresca[k][rows] *= gradient_norm
 
     # ---- as equations ----
 

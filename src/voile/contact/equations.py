@@ -10,24 +10,24 @@ from voile.contact.pairs import Pairs, outer, times, within
 
 class Equations:
     """Reactions f = a - D dx of the pairs with one partner for a step dx of their vertices, with constraints (gap and,
-    for those that stick, slip) kept by a firm stiffness and corrected by `advance`."""
+    for those that stick, slip) kept by a penalty and corrected by `advance`."""
 
     def __init__(self, contact: NaturalMap, p: Pairs):
         self.p, self.mu = p, p.friction
         s, rho = contact.history, p.rho
-        self.firm = contact.firm
+        self.penalty = contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
         self.friction = within(p.unit, s.friction[p.index][p.row])
         size = np.maximum(np.linalg.norm(p.lam_t, axis=1), 1e-300)
-        bound = self.mu * p.steepness * np.maximum(p.lam_n, 0.0)
+        bound = self.mu * p.gradient_norm * np.maximum(p.lam_n, 0.0)
         self.stick = self.active & (fresh | (size <= bound)) & (self.mu > 0.0)
         self.slips = self.active & ~self.stick
         along = p.lam_t / size[:, None]
-        self.along = (self.mu * p.steepness)[:, None] * along  # friction per lam_n
-        self.plane = np.eye(3) - outer(p.unit, p.unit)
-        self.sideways = self.plane - outer(along, along)
+        self.along = (self.mu * p.gradient_norm)[:, None] * along  # friction per lam_n
+        self.tangential = np.eye(3) - outer(p.unit, p.unit)
+        self.sideways = self.tangential - outer(along, along)
         share = np.where(self.slips & (self.mu > 0.0), np.minimum(bound / size, 1.0 - 1e-5), 0.0)
         self.turning = rho * share / (1.0 - share)  # N/m: friction's direction follows the slip's
         self.pressed = np.maximum(p.lam_n, 0.0)
@@ -39,15 +39,15 @@ class Equations:
     def spread(self, total: np.ndarray) -> None:
         """Adds a, the reactions without a step, to the vertices' forces (n, 3), N."""
         p = self.p
-        normal = np.where(self.active, self.normal - self.firm * p.gap, 0.0)
-        stuck = self.friction - self.firm * p.slip
+        normal = np.where(self.active, self.normal - self.penalty * p.gap, 0.0)
+        stuck = self.friction - self.penalty * p.slip
         moved = normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, p.slip)
         p.spread(normal, self._chosen(stuck, moved), total)
 
     def blocks(self) -> np.ndarray:
         """(p, 3s, 3s) D, N/m."""
         p = self.p
-        moved = self.firm * outer(p.gradient + self.along, p.gradient)
+        moved = self.penalty * outer(p.gradient + self.along, p.gradient)
         moved += self.turning[:, None, None] * self.sideways
         return self._over_vertices(moved) + self._turned()
 
@@ -59,20 +59,20 @@ class Equations:
         normal = curvature.sum(
             axis=1
         )  # on one side the weights sum to 1, whose gradients are the gap's there
-        size = np.where(self.slips, self.pressed / p.steepness, 0.0)
+        size = np.where(self.slips, self.pressed / p.gradient_norm, 0.0)
         turned = np.einsum("p,pi,pij->pj", size, self.along, normal)
         return np.einsum("ps,pi,pj->psij", g.weight, p.unit, turned).reshape(g.curvature.shape)
 
     def held(self) -> np.ndarray:
         """(p, 3s, 3s) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
         p = self.p
-        moved = self.firm * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
+        moved = self.penalty * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
         return self._over_vertices(moved)
 
     def _over_vertices(self, moved: np.ndarray) -> np.ndarray:
         """Blocks of what sticks, slips (`moved`, (p, 3, 3)) or is open, with the gap's curvature."""
         p = self.p
-        stuck = self.firm * (outer(p.gradient, p.gradient) + self.plane)
+        stuck = self.penalty * (outer(p.gradient, p.gradient) + self.tangential)
         which = np.where(self.stick[:, None, None], stuck, moved)
         block = np.where(self.active[:, None, None], which, 0.0)
         curved = np.where(self.active, self.pressed, 0.0)
@@ -83,13 +83,13 @@ class Equations:
         return np.where(self.stick[:, None], stuck, np.where(self.slips[:, None], moved, 0.0))
 
     def advance(self, dx: np.ndarray) -> None:
-        """Takes the firm stiffness's share of the reactions after the step dx (n, 3) into the multipliers."""
+        """Takes the penalty's share of the reactions after the step dx (n, 3) into the multipliers."""
         p = self.p
         opening, relative = p.motion(dx)
         slid = p.slip + within(p.unit, relative)
-        self.normal = np.where(self.active, self.normal - self.firm * (p.gap + opening), 0.0)
+        self.normal = np.where(self.active, self.normal - self.penalty * (p.gap + opening), 0.0)
         turned = self.normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, slid)
-        self.friction = self._chosen(self.friction - self.firm * slid, turned)
+        self.friction = self._chosen(self.friction - self.penalty * slid, turned)
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Linearised:
     def advance(self, dx: np.ndarray) -> None:
         """Corrects the multipliers after the step dx (n, 3)."""
         for e in self.parts:
-            e.advance(self.contact.partners[e.p.index].widen(dx))
+            e.advance(self.contact.partners[e.p.index].gather(dx))
 
     def reactions(self, share: float) -> None:
         """The present reactions move by a share (0 to 1) of the way to those of the step."""

@@ -8,22 +8,22 @@ import numpy as np
 
 from voile.contact.candidates import Candidates
 
-PER_PARTNER = ("normal", "friction", "bound", "plane", "grip")
+PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight")
 
 
 @dataclass
 class History:
     """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
-    contacts: reactions normal (c,) and friction (c, 3) in N, the frozen friction bounds (c,) N, planes (c, 3; unit
-    normals) and grips (c, s; weights of the contact's vertices) of the potential. Of the step's start: positions
-    reference (n, 3) m and, of all vertices, layers; its time, in statics the load factor. candidates: the
+    contacts: reactions normal (c,) and friction (c, 3) in N; of the augmented Lagrangian Tresca's friction bounds
+    tresca (c,) N, frozen_normal (c, 3) and frozen_weight (c, s) of the contact's vertices. Of the step's start:
+    positions reference (n, 3) m and, of all vertices, layers; its time, in statics the load factor. candidates: the
     shell's contacts with itself."""
 
     normal: list[np.ndarray]
     friction: list[np.ndarray]
-    bound: list[np.ndarray]
-    plane: list[np.ndarray]
-    grip: list[np.ndarray]
+    tresca: list[np.ndarray]
+    frozen_normal: list[np.ndarray]
+    frozen_weight: list[np.ndarray]
     reference: np.ndarray
     time: float
     candidates: Candidates

@@ -1,7 +1,7 @@
 """What a shell's contacts are with: rigid obstacles or the shell itself, one interface for the laws.
 
-A partner has contacts in the history, numbered in its own way, over vertices whose positions `widen` gives from
-this rank's; `narrow` takes forces back. Its gaps, their geometry and the relative motion since the start of the step
+A partner has contacts in the history, numbered in its own way, over vertices whose positions `gather` gives from
+this rank's; `restrict` takes forces back. Its gaps, their geometry and the relative motion since the start of the step
 are all that Signorini's and Coulomb's laws need.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from voile.contact.candidates import BAND, Candidates, Layers, closest
 from voile.contact.closest import Closest, derivatives
-from voile.contact.history import History
+from voile.contact.history import PER_PARTNER, History
 from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import Geometry
 
@@ -30,10 +30,10 @@ class ObstacleContact:
     def friction(self) -> float:
         return self.obstacle.friction
 
-    def widen(self, x: np.ndarray) -> np.ndarray:
+    def gather(self, x: np.ndarray) -> np.ndarray:
         return x
 
-    def narrow(self, forces: np.ndarray) -> np.ndarray:
+    def restrict(self, forces: np.ndarray) -> np.ndarray:
         return forces
 
     def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
@@ -46,7 +46,7 @@ class ObstacleContact:
         return Geometry(gap - self.offset[rows], gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
     def moved(
-        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, history: History
+        self, rows: np.ndarray, weight: np.ndarray, x: np.ndarray, t: float, history: History
     ) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         return x[rows] - self.obstacle.carry(history.reference[rows], history.time, t)
@@ -76,12 +76,12 @@ class ObstacleContact:
 
 @dataclass
 class SelfContact:
-    """A shell's contacts with itself. widen: positions (n, 3) of all vertices from this rank's local ones; here (local
+    """A shell's contacts with itself. gather: positions (n, 3) of all vertices from this rank's local ones; here (local
     vertices,): those among all; free (n,): vertices with unknowns; own (n,): a pair counts where its first vertex is
     its rank's own."""
 
     layers: Layers
-    widen: Callable[[np.ndarray], np.ndarray]
+    gather: Callable[[np.ndarray], np.ndarray]
     here: np.ndarray
     free: np.ndarray
     own: np.ndarray
@@ -91,7 +91,7 @@ class SelfContact:
     def friction(self) -> float:
         return self.layers.friction
 
-    def narrow(self, forces: np.ndarray) -> np.ndarray:
+    def restrict(self, forces: np.ndarray) -> np.ndarray:
         """(local vertices, 3) of the forces on all vertices (n, 3)."""
         return forces[self.here]
 
@@ -100,13 +100,13 @@ class SelfContact:
         old = history.candidates
         if self.layers.valid(old, x):
             return history
-        carry = (history.normal[k] != 0.0) | (history.bound[k] != 0.0)
+        carry = (history.normal[k] != 0.0) | (history.tresca[k] != 0.0)
         fresh = self.layers.find(x, old.code[carry])
         there = np.flatnonzero(np.isin(fresh.code, old.code))
         back = np.searchsorted(old.code, fresh.code[there])
         renewed = history.copy()
         renewed.candidates = fresh
-        for part in (renewed.normal, renewed.friction, renewed.bound, renewed.plane, renewed.grip):
+        for part in (getattr(renewed, name) for name in PER_PARTNER):
             rows = np.zeros((len(fresh.code), *part[k].shape[1:]))
             rows[there] = part[k][back]
             part[k] = rows
@@ -114,14 +114,16 @@ class SelfContact:
 
     def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(c,) m; infinite for edges that are not closest inside both."""
-        return self._closest(history.candidates, x).distance - history.candidates.apart
+        return self._closest(history.candidates, x).distance - history.candidates.min_distance
 
     def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
         """That of some contacts, whose gaps are finite."""
         vertex = history.candidates.vertex[rows]
         c = self._closest(history.candidates, x)[rows]
         normal, curvature = derivatives(c, x[vertex])
-        return Geometry(c.distance - history.candidates.apart[rows], normal, curvature, vertex, c.weight)
+        return Geometry(
+            c.distance - history.candidates.min_distance[rows], normal, curvature, vertex, c.weight
+        )
 
     def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
         """As `closest`, which is asked for again and again at the same positions."""
@@ -130,11 +132,11 @@ class SelfContact:
         return self._last[2]
 
     def moved(
-        self, rows: np.ndarray, grip: np.ndarray, x: np.ndarray, t: float, history: History
+        self, rows: np.ndarray, weight: np.ndarray, x: np.ndarray, t: float, history: History
     ) -> np.ndarray:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         vertex = history.candidates.vertex[rows]
-        return np.einsum("ps,psi->pi", grip, x[vertex] - history.layers[vertex])
+        return np.einsum("ps,psi->pi", weight, x[vertex] - history.layers[vertex])
 
     def movable(self, history: History) -> np.ndarray:
         """(c,) marks the contacts that have unknowns."""

@@ -16,7 +16,7 @@ import numpy as np
 from voile.contact.history import History, blank
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.obstacle import Obstacle
-from voile.contact.pairs import FIRM, Pairs, barrier, within
+from voile.contact.pairs import PENALTY, Pairs, barrier, within
 
 LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
 OFF_BOUND = 1e-7  # share of friction
@@ -73,9 +73,9 @@ class NaturalMap:
             self.layers, self.most = LAYERS, np.inf
 
     @property
-    def firm(self) -> float:
+    def penalty(self) -> float:
         """N/m, stiffness of the equations' constraints."""
-        return FIRM * self.stiffness
+        return PENALTY * self.stiffness
 
     @property
     def moves(self) -> bool:
@@ -94,7 +94,7 @@ class NaturalMap:
         self.history.reference, self.history.time = x.copy(), t
         self.history.friction = [(1.0 - OFF_BOUND) * friction for friction in self.history.friction]
         if self.itself:
-            self.history.layers = self.itself.widen(x).copy()
+            self.history.layers = self.itself.gather(x).copy()
 
     def gap(self, k: int, x: np.ndarray, t: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
@@ -109,7 +109,7 @@ class NaturalMap:
         return [p for p in found if p is not None]
 
     def _near(self, k: int, x: np.ndarray, t: float, softness: float, frozen: bool) -> Pairs | None:
-        partner, wide = self.partners[k], self.partners[k].widen(x)
+        partner, wide = self.partners[k], self.partners[k].gather(x)
         if isinstance(partner, SelfContact):
             self.history = partner.renewed(wide, self.history, k)
         s = self.history
@@ -117,24 +117,24 @@ class NaturalMap:
         rho = self.rho(k, softness)
         near = s.normal[k] - rho * gap >= -rho * self.touch
         if frozen:
-            near |= (s.bound[k] > 0.0) & np.isfinite(gap)
+            near |= (s.tresca[k] > 0.0) & np.isfinite(gap)
         rows = np.flatnonzero(near & partner.movable(s))
         if not len(rows):
             return None
         g = partner.geometry(rows, wide, t, s)
-        steepness = np.linalg.norm(g.gradient, axis=1)
-        unit = g.gradient / steepness[:, None]
-        plane, grip = (s.plane[k][rows], s.grip[k][rows]) if frozen else (unit, g.weight)
-        d = partner.moved(rows, grip, wide, t, s)
-        trial = within(plane, s.friction[k][rows] - rho * d)
+        gradient_norm = np.linalg.norm(g.gradient, axis=1)
+        unit = g.gradient / gradient_norm[:, None]
+        normal, weight = (s.frozen_normal[k][rows], s.frozen_weight[k][rows]) if frozen else (unit, g.weight)
+        d = partner.moved(rows, weight, wide, t, s)
+        trial = within(normal, s.friction[k][rows] - rho * d)
         lam_n = s.normal[k][rows] - rho * g.gap
-        slip = within(plane, d)
-        return Pairs(k, partner.friction, rho, rows, g, unit, steepness, lam_n, trial, slip, grip)
+        slip = within(normal, d)
+        return Pairs(k, partner.friction, rho, rows, g, unit, gradient_norm, lam_n, trial, slip, weight)
 
     def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
         if frozen:
-            return self.history.bound[p.index][p.row]
-        return p.friction * p.steepness * np.maximum(p.lam_n, 0.0)
+            return self.history.tresca[p.index][p.row]
+        return p.friction * p.gradient_norm * np.maximum(p.lam_n, 0.0)
 
     def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
@@ -148,7 +148,7 @@ class NaturalMap:
         where the laws hold."""
         if p.index < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(p.row)))
-        return BARRIER * p.rho * barrier(p.gap, self.history.candidates.apart[p.row])
+        return BARRIER * p.rho * barrier(p.gap, self.history.candidates.min_distance[p.row])
 
     def slips(self, p: Pairs) -> np.ndarray:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
@@ -164,13 +164,13 @@ class NaturalMap:
         partner = self.partners[p.index]
         forces = np.zeros((len(partner.free), 3))
         spread(forces)
-        total += partner.narrow(forces)
+        total += partner.restrict(forces)
 
     # ---- what is reported ----
 
     def nearest(self, k: int, x: np.ndarray, t: float) -> np.ndarray:
         """(n,) gaps (m) of the vertices to partner k, where it is near."""
-        return self.partners[k].nearest(self.partners[k].widen(x), t, self.history)
+        return self.partners[k].nearest(self.partners[k].gather(x), t, self.history)
 
     def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""

@@ -185,10 +185,10 @@ class Ellipsoid(Obstacle, shape="ellipsoid"):
         squares = np.asarray(self.radii, dtype=float) ** 2
         d = p - self.center
         foot = _ellipsoid_foot(np.abs(d), np.asarray(self.radii, dtype=float)) * np.where(d < 0.0, -1.0, 1.0)
-        steepness, n = unit(foot / squares, np.array([0.0, 0.0, 1.0]))
+        gradient_norm, n = unit(foot / squares, np.array([0.0, 0.0, 1.0]))
         gap = dot(d - foot, n)
         across = np.eye(3) - outer(n, n)
-        shape = across @ np.diag(1.0 / squares) @ across / steepness[:, None, None]
+        shape = across @ np.diag(1.0 / squares) @ across / gradient_norm[:, None, None]
         return gap, n, np.linalg.solve(np.eye(3) + gap[:, None, None] * shape + 1e-14 * np.eye(3), shape)
 
     def surface(self, bounds):

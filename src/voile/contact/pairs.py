@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 FREE, STICK, SLIP = 0, 1, 2
-FIRM = 1e5  # times rho: stiffness by which the equations eliminate the reactions; refinement leaves no trace of it
+PENALTY = 1e5  # times rho: stiffness by which the equations eliminate the reactions; refinement leaves no trace of it
 
 
 @dataclass
@@ -26,7 +26,7 @@ class Pairs:
     """Contacts of the shell with one partner (obstacle or itself; p of them), rho (N/m) the natural map's scale, `row`
     their places in its part of the history; the gap's Geometry; the unit normal, the gradient's length, and the trial
     reaction: lam_n along the gradient, lam_t (p, 3) N in the tangent plane; slip (p, 3) m, tangential since the start
-    of the step; grip (p, s) the vertices' weights in slip and friction: those of the gap but where the potential
+    of the step; slip_weight (p, s) the vertices' weights in slip and friction: those of the gap but where the potential
     freezes them."""
 
     index: int
@@ -35,11 +35,11 @@ class Pairs:
     row: np.ndarray
     geometry: Geometry
     unit: np.ndarray
-    steepness: np.ndarray
+    gradient_norm: np.ndarray
     lam_n: np.ndarray
     lam_t: np.ndarray
     slip: np.ndarray
-    grip: np.ndarray
+    slip_weight: np.ndarray
 
     @property
     def gap(self) -> np.ndarray:
@@ -67,13 +67,13 @@ class Pairs:
         """Adds reactions, normal (p,) along the gradient and tangential (p, 3), to the vertices' forces (n, 3)."""
         g = self.geometry
         force = (g.weight * normal[:, None])[:, :, None] * g.gradient[:, None]
-        np.add.at(total, g.vertex, force + self.grip[:, :, None] * tangential[:, None])
+        np.add.at(total, g.vertex, force + self.slip_weight[:, :, None] * tangential[:, None])
 
     def motion(self, dx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of displacements (n, 3): the gap's change (p,) and the relative motion (p, 3), to first order."""
         g = self.geometry
         relative = np.einsum("ps,psi->pi", g.weight, dx[g.vertex])
-        return dot(g.gradient, relative), np.einsum("ps,psi->pi", self.grip, dx[g.vertex])
+        return dot(g.gradient, relative), np.einsum("ps,psi->pi", self.slip_weight, dx[g.vertex])
 
     def over_vertices(self, block: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """(p, 3s, 3s) what blocks (p, 3, 3) of the relative position are over the vertices."""
@@ -102,8 +102,8 @@ def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def margin(normal: np.ndarray, tangential: np.ndarray, friction: float | np.ndarray) -> np.ndarray:
-    """(p,) share of friction's bound that reactions, normal (p,) and tangential (p, 3) N, leave: 1 where nothing bears,
-    0 where it slips, as all does that bears without friction."""
+    """(p,) share of friction's bound that reactions, normal (p,) and tangential (p, 3) N, leave: 1 without any, 0
+    where it slips, as all active contacts without friction do."""
     bound, size = friction * normal, np.linalg.norm(tangential, axis=1)
     used = np.divide(size, bound, out=np.ones(len(size)), where=bound > 0.0)
     left = np.maximum(1.0 - used, 0.0)  # what slips meets its bound to round-off only

@@ -320,7 +320,7 @@ class Direct:
 def _lost(fraction: float, critical: float) -> str:
     """Where stability is lost, and what keeps it: a shell of E / fraction under the full load is that of E under the
     fraction."""
-    firmer = (
+    advice = (
         f"; {math.ceil(1e3 / fraction) / 1e3:g} times the Young's modulus would keep it" if fraction else ""
     )
-    return f"stability is lost between {fraction:.4g} and {critical:.4g} of the load{firmer}"
+    return f"stability is lost between {fraction:.4g} and {critical:.4g} of the load{advice}"

@@ -27,13 +27,13 @@ class Forward:
         wanted = tolerance(problem, y, self.options)
         if problem.contact:
             found = self.solver.solve(problem, y, wanted, last_resort=True).converged
-            problem.unbase(y)
+            problem.reset_origin(y)
             return found
         return self.solver.descent.run(problem, y, wanted, PATIENCE)
 
     def search(self, y: PETSc.Vec) -> bool:
         """y moves to the equilibrium that statics find from it by all means; False where they do not."""
         path = solve_statics(self.problem, replace(self.options, load_steps=1), start=y)
-        self.problem.unbase(path.state)
+        self.problem.reset_origin(path.state)
         path.state.copy(y)
         return path.converged

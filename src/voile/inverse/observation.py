@@ -106,7 +106,7 @@ class Observation:
         steps = self.steps if start is None else 1
         self.simulations += 1
         path = solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=accuracy), start=start)
-        problem.unbase(path.state)
+        problem.reset_origin(path.state)
         self.stable, self.reason = bool(path.stable), "" if path.converged else path.reason
         if not path.converged:
             return None

@@ -18,7 +18,7 @@ from voile.problem.rest import PanelRest
 
 FAR = 0.1  # sizes: a simulation that ends further from the target has nothing to do with it
 STILL = 1e-6  # sizes, that a simulation from the nearest answer may move
-APART = 1e-3  # sizes, between equilibria that simulations from the target and from beside it find
+SPREAD = 1e-3  # sizes, between equilibria that simulations from the target and from beside it find
 
 
 @dataclass
@@ -48,12 +48,12 @@ class InverseResult:
     held: Simulation | None = None
     guess: np.ndarray | None = None
     tolerance: float = 0.0
-    apart: float = field(init=False)
+    spread: float = field(init=False)
 
     def __post_init__(self) -> None:
         ends = self.simulation.path, self.disturbed.path
         both = ends[0].converged and ends[1].converged
-        self.apart = distance(self.target, ends[1].state, ends[0].state) if both else 0.0
+        self.spread = distance(self.target, ends[1].state, ends[0].state) if both else 0.0
 
     @property
     def exact(self) -> bool:
@@ -84,7 +84,7 @@ class InverseResult:
         far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
         settled, beside = self.simulation.path.converged, self.disturbed.path.converged
         settles = "; the simulation from beside it did not settle" if settled and not beside else ""
-        if self.apart > APART:
+        if self.spread > SPREAD:
             settles = f"; the simulation from beside it ends elsewhere, {self.disturbed.sag:.2g} sizes from the target"
         said, bounds = self._finding() + far + settles, self.target.bounds
         return said if self.exact or bounds.last in said else said + bounds.told()
@@ -179,7 +179,7 @@ def _nearest(result: InverseResult) -> dict | None:
 
 
 def _reactions(result: InverseResult) -> dict:
-    """What holds the target, or the nearest stable shape, over all ranks: contacts, those that bear, least and largest
+    """What holds the target, or the nearest stable shape, over all ranks: contacts, active ones, least and largest
     of their gaps in the target (m), which simulations keep, the least margin to slip (share of friction's bound that is
     left) and the least friction that would do. Answers of the adjoint method have the simulation's reactions only."""
     target, comm = result.target, result.target.problem.comm
@@ -188,12 +188,12 @@ def _reactions(result: InverseResult) -> dict:
     if result.adjoint:
         return known | dict.fromkeys(("gaps", "bearing", "force", "least_margin"))
     normal, margin = target.margins()
-    bears = own & (normal > 0.0)
+    active = own & (normal > 0.0)
     return known | {
-        "gaps": _range(target.gaps()[bears], comm),
-        "bearing": comm.allreduce(int(bears.sum())),
+        "gaps": _range(target.gaps()[active], comm),
+        "bearing": comm.allreduce(int(active.sum())),
         "force": comm.allreduce(target.reactions[own & body].sum(axis=0)),
-        "least_margin": comm.allreduce(float(margin[bears].min(initial=1.0)), op=MPI.MIN),
+        "least_margin": comm.allreduce(float(margin[active].min(initial=1.0)), op=MPI.MIN),
     }
 
 

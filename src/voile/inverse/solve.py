@@ -136,7 +136,7 @@ def solve_inverse(
 def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
     """A residual over the loads' norm that simulations can reach: where contacts bear, round-off may have ended the
     direct method before; without them displacements from the target keep the digits that the target itself lacks."""
-    if not (path.converged and target.touches):
+    if not (path.converged and target.contacts):
         return tolerance
     return max(tolerance, path.residual / target.load_norm(target.rest.state(path.rest)))
 
@@ -146,10 +146,10 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
     alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken.
     Raises NotConverged where round-off hides the loads."""
     solver, paths = Direct(target), dict[float, DirectPath]()
-    holds = HOLDS if target.touches else HOLDS[:1]
+    holds = HOLDS if target.contacts else HOLDS[:1]
     for smallest in (COARSE, SMALLEST):
         for hold in holds:
-            target.firmness = hold * target.membrane
+            target.penalty = hold * target.membrane
             if hold not in paths:
                 solver.check_round_off()
             path = paths[hold] = solver.follow(on_step, guess, smallest, paths.get(hold))
@@ -158,7 +158,7 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
         if path.converged:
             break
     best = max(paths, key=lambda hold: paths[hold].fraction)
-    path, target.firmness = paths[best], best * target.membrane
+    path, target.penalty = paths[best], best * target.membrane
     path.iterations = sum(each.iterations for each in paths.values())
     target.load(path.fraction)
     target.rest.set(path.rest)

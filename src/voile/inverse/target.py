@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from voile.contact.candidates import Layers
 from voile.contact.contact import Contact
 from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import FIRM, FREE, STICK, dot, margin, outer, within
+from voile.contact.pairs import FREE, PENALTY, STICK, dot, margin, outer, within
 from voile.errors import NotConverged
 from voile.inverse.bounds import Bounds
+from voile.inverse.contact_pairs import ContactPairs, clearances, find_contact_pairs
 from voile.inverse.reactions import Balance, Cones, least_friction
-from voile.inverse.touches import Touch, clearances, find_touches
 from voile.problem.contact import cone_fields, contact_of, with_obstacles
 from voile.problem.discrete import Problem
 from voile.problem.rest import RestShape, field_vector
@@ -25,8 +25,8 @@ from voile.problem.supports import free_motions, hinged_parts
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
-HOLDS = 1.0, 0.1, 0.01  # tried in turn: firmness of rest positions at contacts, over the shell's
-CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and bears nothing
+HOLDS = 1.0, 0.1, 0.01  # tried in turn: penalty on rest positions at contacts, over the shell's
+CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and carries nothing
 UNLOADED = 1e-9  # of the loads: those whose rate is that of eigenvalues where there are none
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
@@ -60,16 +60,16 @@ class Target:
         self.modes = modes[problem.part.vertex]
         self.x = problem.positions(problem.create_vector())
         self.movable = np.diff(problem.part.matrix.indptr)[: 3 * len(self.x)].reshape(-1, 3).any(axis=1)
-        self.touches = self._find_touches()
-        self.own = self._gather(lambda touch: touch.own).astype(bool)
-        touches = bool(obstacles) or comm.allreduce(int(self.own.sum())) > 0
-        self.ground_rows = np.zeros(0, dtype=np.int32) if touches else self._grounding()
+        self.contacts = self._find_contact_pairs()
+        self.own = self._gather(lambda pairs: pairs.own).astype(bool)
+        contacts = bool(obstacles) or comm.allreduce(int(self.own.sum())) > 0
+        self.ground_rows = np.zeros(0, dtype=np.int32) if contacts else self._grounding()
         self.cones = self._cones(friction)
         self.reactions, self._slope = np.zeros((len(self.own), 3)), np.zeros((len(self.own), 3, 3))
         fabric, part = problem.part.fabric, problem.part
         total = comm.allreduce(np.array([(fabric[0] * fabric[1]) @ part.weight, part.weight.sum()]))
         self.membrane = float(total[0] / total[1])  # N/m, about the shell's own at a vertex
-        self.firmness = HOLDS[0] * self.membrane  # N/m, of the spring that holds rest positions at contacts
+        self.penalty = HOLDS[0] * self.membrane  # N/m, of the spring that holds rest positions at contacts
         self.least_friction: float | None = None
         self._used = self.cones
         self._check_hinges(comm.bcast(hinged_parts(shell) if shell is not None else None))
@@ -77,41 +77,41 @@ class Target:
 
     # ---- contacts ----
 
-    def _find_touches(self) -> list[Touch]:
+    def _find_contact_pairs(self) -> list[ContactPairs]:
         contact = with_obstacles(self.problem, self.obstacles, self.offset, self.layers).contact
-        return find_touches(contact, self.x, self.tolerance) if isinstance(contact, Contact) else []
+        return find_contact_pairs(contact, self.x, self.tolerance) if isinstance(contact, Contact) else []
 
     def _cones(self, friction: bool) -> Cones:
-        if not self.touches:
+        if not self.contacts:
             return Cones(np.zeros((0, 3)), np.zeros(0))
-        mu = [np.full(len(t), t.partner.friction if friction else 0.0) for t in self.touches]
-        return Cones(np.concatenate([t.normal for t in self.touches]), np.concatenate(mu))
+        mu = [np.full(len(t), t.partner.friction if friction else 0.0) for t in self.contacts]
+        return Cones(np.concatenate([t.normal for t in self.contacts]), np.concatenate(mu))
 
-    def _gather(self, part: Callable[[Touch], np.ndarray], *shape: int) -> np.ndarray:
+    def _gather(self, part: Callable[[ContactPairs], np.ndarray], *shape: int) -> np.ndarray:
         """(c, ...) of all contacts, what `part` says of those with one partner."""
-        return np.concatenate([np.zeros((0, *shape)), *map(part, self.touches)])
+        return np.concatenate([np.zeros((0, *shape)), *map(part, self.contacts)])
 
     def _jump(self, field: np.ndarray) -> np.ndarray:
         """(c, 3, ...) of a field (local vertices, 3, ...) at all contacts."""
-        return self._gather(lambda touch: touch.relative(field), *field.shape[1:])
+        return self._gather(lambda pairs: pairs.relative(field), *field.shape[1:])
 
     def _spread(self, reactions: np.ndarray) -> np.ndarray:
         """(local vertices, 3) forces of reactions (c, 3) N."""
         return sum((t.spread(reactions[rows]) for t, rows in self._rows()), np.zeros_like(self.x))
 
-    def _rigid(self, touch: Touch) -> bool:
+    def _rigid(self, pairs: ContactPairs) -> bool:
         """Whether it is with an obstacle."""
-        return touch.index < len(self.obstacles)
+        return pairs.index < len(self.obstacles)
 
     def on_obstacles(self) -> np.ndarray:
         """(c,) marks the contacts with obstacles."""
-        return self._gather(lambda touch: np.full(len(touch), self._rigid(touch))).astype(bool)
+        return self._gather(lambda pairs: np.full(len(pairs), self._rigid(pairs))).astype(bool)
 
     def touching(self) -> np.ndarray:
         """(n,) local vertices that touch."""
         marked = np.zeros(len(self.x), dtype=bool)
-        for touch in self.touches:
-            marked |= np.isfinite(touch.least(np.zeros(len(touch))))
+        for pairs in self.contacts:
+            marked |= np.isfinite(pairs.least(np.zeros(len(pairs))))
         return marked
 
     def gaps(self) -> np.ndarray:
@@ -126,9 +126,9 @@ class Target:
         normal = area_vectors(self.x, part.corners)
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
         row, side = np.nonzero(part.across >= 0)
-        pairs = np.column_stack([row, part.across[row, side] // 3])
-        half = 0.5 * np.linalg.norm(normal[pairs].sum(axis=1), axis=1)
-        return pairs, 2.0 * np.arcsin(np.minimum(half, 1.0))
+        sides = np.column_stack([row, part.across[row, side] // 3])
+        half = 0.5 * np.linalg.norm(normal[sides].sum(axis=1), axis=1)
+        return sides, 2.0 * np.arcsin(np.minimum(half, 1.0))
 
     def _balance(self) -> Balance:
         """The present loads, at load factor 1."""
@@ -139,15 +139,15 @@ class Target:
         total = problem.comm.allreduce(np.array([size[problem.own].sum(), float(problem.own.sum())]))
         mean = total[0] / total[1]
 
-        def borne(touch: Touch, values: np.ndarray, else_: float) -> np.ndarray:
-            """A vertex bears what it carries; layers as little as possible."""
-            layers = np.full((len(touch), *values.shape[1:]), else_)
-            return values[touch.stencil] if self._rigid(touch) else layers
+        def borne(pairs: ContactPairs, values: np.ndarray, else_: float) -> np.ndarray:
+            """A vertex takes its own load; layers as little as possible."""
+            layers = np.full((len(pairs), *values.shape[1:]), else_)
+            return values[pairs.stencil] if self._rigid(pairs) else layers
 
         resultant = problem.comm.allreduce(np.einsum("vik,vi->k", self.modes[problem.own], load[problem.own]))
         return Balance(
-            weight=self._gather(lambda touch: borne(touch, np.maximum(size, 1e-3 * mean), mean)),
-            load=self._gather(lambda touch: borne(touch, load, 0.0), 3),
+            weight=self._gather(lambda pairs: borne(pairs, np.maximum(size, 1e-3 * mean), mean)),
+            load=self._gather(lambda pairs: borne(pairs, load, 0.0), 3),
             modes=self._jump(self.modes),
             resultant=resultant,
             scale=float(total[0]),
@@ -157,7 +157,7 @@ class Target:
 
     def _settle_friction(self) -> None:
         """Chooses how much of the friction the reactions may use. Raises NotConverged where all is not enough."""
-        if not self.modes.shape[2] and not self.touches:
+        if not self.modes.shape[2] and not self.contacts:
             return
         balance, cones = self._balance(), self.cones
         if balance.solve(cones) is None:
@@ -202,7 +202,7 @@ class Target:
         """The contact that would carry most."""
         assert r is not None
         size, part = np.linalg.norm(r, axis=1), self.problem.part
-        places = self._gather(lambda t: t.partner.widen(self.x)[t.geometry.vertex[:, 0]], 3)
+        places = self._gather(lambda t: t.partner.gather(self.x)[t.geometry.vertex[:, 0]], 3)
         vertex = self._gather(lambda t: part.vertex[t.stencil] if self._rigid(t) else t.stencil[:, 0])
         mine = (float(size.max(initial=0.0)), self.problem.comm.rank)
         most, rank = self.problem.comm.allreduce(mine, op=MPI.MAX)
@@ -216,7 +216,7 @@ class Target:
     def hold(self, z: PETSc.Vec) -> None:
         """Reactions for the rest displacement z."""
         moved = self._jump(self.problem.motion(z))
-        self.reactions, self._slope = self._used.project(self.firmness * moved)
+        self.reactions, self._slope = self._used.project(self.penalty * moved)
 
     def release(self) -> None:
         """No reactions: those of the rest shape that was found are the simulation's."""
@@ -229,20 +229,20 @@ class Target:
 
     def jacobian(self, y: PETSc.Vec, matrix: PETSc.Mat) -> None:
         """Its derivative by the rest positions."""
-        slope = -self.firmness * self._slope
-        blocks = [(touch.stencil, touch.over_vertices(slope[rows])) for touch, rows in self._rows()]
+        slope = -self.penalty * self._slope
+        blocks = [(pairs.stencil, pairs.over_vertices(slope[rows])) for pairs, rows in self._rows()]
         self.rest.jacobian(y, matrix, blocks)
         if len(self.ground_rows):
             matrix.zeroRowsColumns(self._mine(), 1.0)
 
-    def _rows(self) -> Iterator[tuple[Touch, slice]]:
+    def _rows(self) -> Iterator[tuple[ContactPairs, slice]]:
         """The contacts with each partner and their rows among all."""
         start = 0
-        for touch in self.touches:
-            yield touch, slice(start, start + len(touch))
-            start += len(touch)
+        for pairs in self.contacts:
+            yield pairs, slice(start, start + len(pairs))
+            start += len(pairs)
 
-    def _bears(self) -> np.ndarray:
+    def _active(self) -> np.ndarray:
         """(c,) whether a contact carries anything."""
         size = np.linalg.norm(self.reactions, axis=1)
         largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
@@ -255,7 +255,7 @@ class Target:
 
     def fields(self) -> dict[str, np.ndarray]:
         """Of the target at the local vertices as `contact_fields` of a state; gaps of what touches are 0."""
-        if not self.touches:
+        if not self.contacts:
             return {}
         reaction, gap = self._spread(self.reactions), np.full(len(self.x), np.inf)
         if self.layers:
@@ -267,10 +267,10 @@ class Target:
         normal, left = self.margins()
         along = self._spread(normal[:, None] * self.cones.normal)
         least, friction = np.ones(len(self.x)), np.full(len(self.x), np.inf)
-        for touch, rows in self._rows():
-            bears = np.where(normal[rows] > 0.0, self.cones.friction[rows], np.inf)
-            least = np.minimum(least, touch.least(left[rows]))
-            friction = np.minimum(friction, touch.least(bears))
+        for pairs, rows in self._rows():
+            active = np.where(normal[rows] > 0.0, self.cones.friction[rows], np.inf)
+            least = np.minimum(least, pairs.least(left[rows]))
+            friction = np.minimum(friction, pairs.least(active))
         return cone_fields(reaction, gap, state, along, friction, least)
 
     # ---- the problem at the target ----
@@ -313,15 +313,15 @@ class Target:
         return self.tangent
 
     def _held(self):
-        firm, bearing = FIRM * self.membrane, self._bears()
-        for touch, rows in self._rows():
-            bears, sticks = bearing[rows], (self.cones.friction[rows] > 0.0)[:, None, None]
-            pressed = dot(self.reactions[rows], touch.normal)
-            blocks = touch.over_vertices(
-                np.where(sticks, firm * np.eye(3), firm * outer(touch.normal, touch.normal))
+        penalty, active_all = PENALTY * self.membrane, self._active()
+        for pairs, rows in self._rows():
+            active, sticks = active_all[rows], (self.cones.friction[rows] > 0.0)[:, None, None]
+            pressed = dot(self.reactions[rows], pairs.normal)
+            blocks = pairs.over_vertices(
+                np.where(sticks, penalty * np.eye(3), penalty * outer(pairs.normal, pairs.normal))
             )
-            blocks -= pressed[:, None, None] * touch.bent()
-            yield touch.stencil[bears], blocks[bears]
+            blocks -= pressed[:, None, None] * pairs.bent()
+            yield pairs.stencil[active], blocks[active]
 
     def softest_mode(self, z: PETSc.Vec) -> PETSc.Vec:
         """The mode of the smallest eigenvalue at z (unknowns, largest entry 1)."""
@@ -335,33 +335,33 @@ class Target:
     # ---- for the simulation ----
 
     def obstructed(self) -> Problem:
-        """The problem under the full load with obstacles and layers in the way, for a simulation: what bears at the gap
-        that it has in the target, with its reaction; what does not where it is, or just clear of it."""
-        problem, bearing = self.problem.at(1.0), self._bears()
-        if not self.touches:
+        """The problem under the full load with obstacles and layers in the way, for a simulation: active contacts at
+        the gap that they have in the target, with their reactions; others where they are, or just clear of it."""
+        problem, active_all = self.problem.at(1.0), self._active()
+        if not self.contacts:
             return problem
         offset = np.full((len(self.obstacles), len(self.x)), self.offset)
         clearance, layers = CLEARANCE * problem.thickness(), self.layers
-        for touch, rows in self._rows():
-            bears = bearing[rows]
-            if self._rigid(touch):
-                clear = np.minimum(self.offset, touch.gap - clearance)
-                offset[touch.index, touch.stencil] = np.where(bears, touch.gap, clear)
+        for pairs, rows in self._rows():
+            active = active_all[rows]
+            if self._rigid(pairs):
+                clear = np.minimum(self.offset, pairs.gap - clearance)
+                offset[pairs.index, pairs.stencil] = np.where(active, pairs.gap, clear)
             elif layers:
-                apart = clearances(layers, touch.partner.widen(self.x), clearance)
-                apart |= dict(zip(touch.code[bears].tolist(), touch.gap[bears].tolist(), strict=True))
-                known = np.array(sorted(apart), dtype=np.int64)
+                distance = clearances(layers, pairs.partner.gather(self.x), clearance)
+                distance |= dict(zip(pairs.code[active].tolist(), pairs.gap[active].tolist(), strict=True))
+                known = np.array(sorted(distance), dtype=np.int64)
                 layers = replace(
-                    layers, known=known, apart=np.array([apart[code] for code in known.tolist()])
+                    layers, known=known, min_distance=np.array([distance[code] for code in known.tolist()])
                 )
         problem = with_obstacles(problem, self.obstacles, offset, layers)
         contact = contact_of(problem)
         contact.begin(self.x, 1.0)
         contact.pairs(self.x, 1.0)  # finds layers
-        for touch, rows in self._rows():
-            r, bears = self.reactions[rows], bearing[rows]
-            normal = dot(r, touch.normal)
-            places = contact.partners[touch.index].places(touch.code[bears], contact.history)
-            contact.history.normal[touch.index][places] = (normal / touch.steepness)[bears]
-            contact.history.friction[touch.index][places] = within(touch.normal, r)[bears]
+        for pairs, rows in self._rows():
+            r, active = self.reactions[rows], active_all[rows]
+            normal = dot(r, pairs.normal)
+            places = contact.partners[pairs.index].places(pairs.code[active], contact.history)
+            contact.history.normal[pairs.index][places] = (normal / pairs.gradient_norm)[active]
+            contact.history.friction[pairs.index][places] = within(pairs.normal, r)[active]
         return problem

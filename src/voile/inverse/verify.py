@@ -65,9 +65,11 @@ def simulate(
     first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
     beside = _disturbance(target) if disturbed else problem.create_vector()
     first.axpy(1.0, beside)
-    options = StaticsOptions(load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, fast=not disturbed)
+    options = StaticsOptions(
+        load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, first="descent" if disturbed else "newton"
+    )
     path = solve_statics(problem, options, start=first)
-    problem.unbase(path.state)
+    problem.reset_origin(path.state)
     farthest = beside.norm(PETSc.NormType.INFINITY)
     return Simulation(path, sag(target, path.state, start), problem, farthest)
 
@@ -91,7 +93,7 @@ def _disturbance(target: Target) -> PETSc.Vec:
         reach = np.minimum(reach, NEARER * np.maximum(away, 0.0))
     reach = np.minimum(reach, NEARER * _from_folds(target))
     if target.layers:
-        reach = np.minimum(reach, GENTLE * target.touches[-1].along())
+        reach = np.minimum(reach, GENTLE * target.contacts[-1].along())
     return target.field_vector(reach[:, None] * np.sin(x @ wave.T))
 
 

@@ -48,15 +48,15 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     share = np.concatenate([1.0 - shell.weight, shell.weight])  # of the slave's position
     sewn = np.column_stack([np.tile(shell.slave, 2), masters])[share > 0.0]
     across = np.linalg.norm(x[shell.second] - x[shell.first], axis=1)
-    apart = (1.0 - share) * np.tile(across, 2)
+    opening = (1.0 - share) * np.tile(across, 2)
     along = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
-    length = np.concatenate([along, apart[share > 0.0]])
+    length = np.concatenate([along, opening[share > 0.0]])
     near = near_along(np.concatenate([edges, sewn]), length, n, np.pi * offset)
     thin = _across_slivers(x, shell.triangles, np.pi * offset)
-    barred = np.unique(np.concatenate([near, thin, _joined(sewn, n)]), axis=0)
-    layers = Layers(x, shell.triangles, edges, barred, 2.0 * offset, friction)
+    excluded = np.unique(np.concatenate([near, thin, _joined(sewn, n)]), axis=0)
+    layers = Layers(x, shell.triangles, edges, excluded, 2.0 * offset, friction)
     caught = layers.nearer(seam_gaps(shell).max(initial=0.0))
-    return replace(layers, barred=np.concatenate([barred, caught]), caught=len(np.unique(caught, axis=0)))
+    return replace(layers, excluded=np.concatenate([excluded, caught]), caught=len(np.unique(caught, axis=0)))
 
 
 def _across_slivers(x: np.ndarray, triangles: np.ndarray, limit: float) -> np.ndarray:
@@ -90,34 +90,34 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> SelfCon
     everything = np.empty_like(place)
     everything[place] = np.arange(len(place))
 
-    def widen(rows: np.ndarray) -> np.ndarray:
+    def gather(rows: np.ndarray) -> np.ndarray:
         return np.concatenate(comm.allgather(rows[own]))[everything]
 
-    start, free = widen(part.points + part.closure[: part.points.size].reshape(-1, 3)), widen(movable)
+    start, free = gather(part.points + part.closure[: part.points.size].reshape(-1, 3)), gather(movable)
     carried = part.supports.between(0.0, 1.0)
     layers.check_start(start)
-    for x in (start, start + widen(carried[: part.points.size].reshape(-1, 3))):
+    for x in (start, start + gather(carried[: part.points.size].reshape(-1, 3))):
         layers.check_held(x, free)
     mine = np.zeros(len(place), dtype=bool)
     mine[part.vertex[own]] = True
-    return SelfContact(layers, widen, part.vertex, free, mine)
+    return SelfContact(layers, gather, part.vertex, free, mine)
 
 
 def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     """At the local vertices: reaction (n, 3) N on the shell, gap (n,) m to the nearest obstacle or layer, where one is
     near, contact (n,): 0 free, 1 stick, 2 slip; and of Coulomb's cone: normal_reaction (n, 3) N along its axis,
-    friction (n,) its coefficient, 0 where nothing bears, margin (n,) the share of friction's bound that is left."""
+    friction (n,) its coefficient, 0 without active contact, margin (n,) the share of friction's bound that is left."""
     contact, x, factor = contact_of(problem), problem.positions(y), problem.time
     n, along = len(x), np.zeros_like(x)
     state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
     for pairs in contact.pairs(x, factor):
-        bears = pairs.lam_n > 0.0
+        active = pairs.lam_n > 0.0
         kind = np.where(contact.slips(pairs), SLIP, STICK)
-        state = np.maximum(state, -contact.least(pairs, bears, -kind))
-        friction = np.minimum(friction, contact.least(pairs, bears, np.full(len(bears), pairs.friction)))
+        state = np.maximum(state, -contact.least(pairs, active, -kind))
+        friction = np.minimum(friction, contact.least(pairs, active, np.full(len(active), pairs.friction)))
         normal, tangential = contact.project(pairs)
-        share = margin(pairs.steepness * normal, tangential, pairs.friction)
-        left = np.minimum(left, contact.least(pairs, bears, share))
+        share = margin(pairs.gradient_norm * normal, tangential, pairs.friction)
+        left = np.minimum(left, contact.least(pairs, active, share))
         contact.collect(pairs, partial(pairs.spread, normal, 0.0 * tangential), along)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
     return cone_fields(
@@ -126,7 +126,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
 
 
 def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, np.ndarray]:
-    """The fields of `contact_fields`; friction is infinite where nothing bears."""
+    """The fields of `contact_fields`; friction is infinite without active contact."""
     return {
         "reaction": reaction,
         "gap": gap,
@@ -181,7 +181,7 @@ def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.
     farthest = float(np.linalg.norm(after - before, axis=1).max(initial=0.0))
     farthest = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
     shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
-    inside = contact_of(problem).inside_on_the_way(before, began, after, problem.time, shares, problem.size())
+    inside = contact_of(problem).inside_between(before, began, after, problem.time, shares, problem.size())
     return not problem.everywhere(not inside.any())
 
 

@@ -120,13 +120,13 @@ class Problem:
         if self.contact and state.history:
             self.contact.history = state.history.copy()
 
-    def rebase(self, y: PETSc.Vec) -> None:
+    def move_origin(self, y: PETSc.Vec) -> None:
         """Counts displacements from the shape at y on, so that they keep their digits; y becomes zero."""
         self.layout.count_from(y, self.time)
         self.elastic.count_from(self.part.points + self.layout.base.reshape(-1, 3))
 
-    def unbase(self, y: PETSc.Vec) -> None:
-        """Takes `rebase` back: y, and any state from now on, counts displacements from the start shape again."""
+    def reset_origin(self, y: PETSc.Vec) -> None:
+        """Takes `move_origin` back: y, and any state from now on, counts displacements from the start shape again."""
         if self.layout.count_from_start(y, self.time):
             self.elastic.count_from(self.part.points)
 
@@ -149,7 +149,7 @@ class Problem:
         return self.layout.base + u, phi
 
     def shape(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
-        """As `local`, but displacements from the shape of the last `rebase`."""
+        """As `local`, but displacements from the shape of the last `move_origin`."""
         return self.layout.shape(y, self.time)
 
     def point(self, y: PETSc.Vec) -> Point:

@@ -17,17 +17,17 @@ def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
     size down to a tenth of it; with positions x (local vertices, 3) only along the normals there. The same for all
     meshes and numbers of ranks."""
     part, random = problem.part, np.random.default_rng(0)
-    ways, sizes = random.standard_normal((2, WAVES, 3))
-    ways *= (2.0 * np.pi / np.geomspace(1.0, SHORTEST, WAVES) / np.linalg.norm(ways, axis=1))[:, None]
+    waves, sizes = random.standard_normal((2, WAVES, 3))
+    waves *= (2.0 * np.pi / np.geomspace(1.0, SHORTEST, WAVES) / np.linalg.norm(waves, axis=1))[:, None]
     phases = random.uniform(0.0, 2.0 * np.pi, WAVES)
-    field = np.cos(part.points @ ways.T / problem.size() + phases) @ sizes / np.sqrt(WAVES)
+    field = np.cos(part.points @ waves.T / problem.size() + phases) @ sizes / np.sqrt(WAVES)
     if x is not None:
         normals = _normals(x, part.corners)
         field = (field * normals).sum(axis=1)[:, None] * normals
     return field_vector(problem, field)
 
 
-def disturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
+def perturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
     """Moves a start of a descent off symmetry by more than round-off does; perturbation in m."""
     small = imperfection(problem, problem.positions(y))
     small.scale(SMALL * perturbation)

@@ -1,5 +1,5 @@
 """The tangent's matrix: a fixed pattern into which kernels write in place, and which contacts of a shell with itself
-widen when they couple vertices that no triangle does."""
+extend when they couple vertices that no triangle does."""
 
 from collections.abc import Iterable
 

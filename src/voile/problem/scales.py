@@ -32,8 +32,8 @@ def force_floor(problem: Problem) -> float:
 
 
 def round_off(problem: Problem, y: PETSc.Vec) -> tuple[float, float]:
-    """Norms of the residual's change (N) when every unknown changes by its last place, which `Problem.rebase` can help,
-    and of what the last places of the positions make of its evaluation, which nothing can."""
+    """Norms of the residual's change (N) when every unknown changes by its last place, which `Problem.move_origin` can
+    help, and of what the last places of the positions make of its evaluation, which nothing can."""
     sign = np.where(np.arange(len(y.array_r)) % 7 % 2, 1.0, -1.0)
     step = y.duplicate()
     step.array[:] = np.finfo(float).eps * sign * y.array_r

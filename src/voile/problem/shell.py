@@ -86,10 +86,13 @@ def _through_seams(shell: Shell, label: np.ndarray) -> tuple[Topology, np.ndarra
     ends = [(half // 3, (half + turn) % 3) for turn in (1, 2)]  # triangle and corner where it starts and ends
     start, end = (label[shell.triangles[place]].astype(np.int64) for place in ends)
     there, back = start * n + end, end * n + start
-    ways, first, count = np.unique(there, return_index=True, return_counts=True)
-    same, met = np.searchsorted(ways, there), np.minimum(np.searchsorted(ways, back), max(len(ways) - 1, 0))
+    directed, first, count = np.unique(there, return_index=True, return_counts=True)
+    same, met = (
+        np.searchsorted(directed, there),
+        np.minimum(np.searchsorted(directed, back), max(len(directed) - 1, 0)),
+    )
     # one that runs back along it and no second one either way: three layers do not bend as one edge
-    pairs = (ways[met] == back) & (count[met] == 1) & (count[same] == 1) & (start != end)
+    pairs = (directed[met] == back) & (count[met] == 1) & (count[same] == 1) & (start != end)
     one = np.flatnonzero(pairs & (np.arange(len(half)) < first[met]))
     other = first[met[one]]
     if not shell.flat:

@@ -15,18 +15,18 @@ STIFF = 100.0  # of a tied contact, over the shell's own at a vertex
 @dataclass
 class Springs:
     """Of p contacts with one partner: vertices and their weights (p, s), the reactions (p, 3) N that they carry at the
-    relative positions home (p, 3) m; own (p,) marks those counted on this rank."""
+    relative positions rest (p, 3) m; own (p,) marks those counted on this rank."""
 
     partner: int
     vertex: np.ndarray
     weight: np.ndarray
     reaction: np.ndarray
-    home: np.ndarray
+    rest: np.ndarray
     own: np.ndarray
 
-    def away(self, x: np.ndarray) -> np.ndarray:
-        """(p, 3) m from home at positions x (n, 3)."""
-        return np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.home
+    def extension(self, x: np.ndarray) -> np.ndarray:
+        """(p, 3) m from rest at positions x (n, 3)."""
+        return np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.rest
 
 
 class TiedContact(Term):
@@ -39,12 +39,12 @@ class TiedContact(Term):
         pairs = contact.pairs(x, t)
         s = contact.history  # with the layers that are near now
         for p in pairs:
-            g, normal, wide = p.geometry, s.normal[p.index][p.row], contact.partners[p.index].widen(x)
+            g, normal, wide = p.geometry, s.normal[p.index][p.row], contact.partners[p.index].gather(x)
             reaction = normal[:, None] * g.gradient + s.friction[p.index][p.row]
             here = np.einsum("ps,psi->pi", g.weight, wide[g.vertex])
-            home = here - p.slip - (g.gap / p.steepness)[:, None] * p.unit
+            rest = here - p.slip - (g.gap / p.gradient_norm)[:, None] * p.unit
             active = normal > 0.0
-            parts = (g.vertex, g.weight, reaction, home, contact.counted(p))
+            parts = (g.vertex, g.weight, reaction, rest, contact.counted(p))
             self.springs.append(Springs(p.index, *(part[active] for part in parts)))
 
     @property
@@ -55,18 +55,20 @@ class TiedContact(Term):
     def energies(self, at: Point) -> dict[str, float]:
         total = 0.0
         for s in self.springs:
-            away = s.away(self.contact.partners[s.partner].widen(at.positions))
-            total += float((0.5 * self.stiffness * dot(away, away) - dot(s.reaction, away))[s.own].sum())
+            extension = s.extension(self.contact.partners[s.partner].gather(at.positions))
+            total += float(
+                (0.5 * self.stiffness * dot(extension, extension) - dot(s.reaction, extension))[s.own].sum()
+            )
         return {"contact": total}
 
     def forces(self, at: Point) -> np.ndarray:
         total = np.zeros_like(at.positions)
         for s in self.springs:
             partner = self.contact.partners[s.partner]
-            force = s.reaction - self.stiffness * s.away(partner.widen(at.positions))
+            force = s.reaction - self.stiffness * s.extension(partner.gather(at.positions))
             wide = np.zeros((len(partner.free), 3))
             np.add.at(wide, s.vertex, s.weight[:, :, None] * force[:, None])
-            total += partner.narrow(wide)
+            total += partner.restrict(wide)
         return at.over_dofs(total)
 
     def blocks(self, at: Point, kind: str) -> Blocks:

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
-from voile.problem.imperfection import disturb
+from voile.problem.imperfection import perturb
 from voile.solver.cascade import Cascade, attempt
 from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
@@ -53,7 +53,7 @@ class Solver:
             nested = options.nested and pays(problem)
             self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if nested else None)
             minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
-            self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.fast else minimum])
+            self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum])
             self.all = Cascade([*self._nested(minimum, options), minimum])
 
     def _for_contact(self, problem: Problem, options: StaticsOptions) -> None:
@@ -68,14 +68,14 @@ class Solver:
         self.watched = WatchedTransient(work, rough, self.semismooth, off)
         firm = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
         self.off_saddle = OffSaddle(work, firm, transient, off)
-        near: list[Method] = [first, tied] if options.fast else [tied, first]
-        if options.fast:
+        near: list[Method] = [first, tied] if options.first == "newton" else [tied, first]
+        if options.first == "newton":
             near[1:1] = self._nested(transient, options)
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
             later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
         contact = contact_of(problem)
-        if options.fast and not contact.itself and (problem.moves or contact.moves):
+        if options.first == "newton" and not contact.itself and (problem.moves or contact.moves):
             # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
             near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
@@ -136,7 +136,7 @@ class Minimum:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        disturb(problem, y, self.perturbation)
+        perturb(problem, y, self.perturbation)
         return self.descent.solve(problem, y, tolerance)
 
 
@@ -153,7 +153,7 @@ class Sharpened:
         outcome = self.method.solve(problem, y, tolerance)
         if not self.newton.stalled:
             return outcome
-        problem.rebase(y)
+        problem.move_origin(y)
         outcome = self.method.solve(problem, y, tolerance)
         reason = (
             to_round_off(problem, y, self.newton.nonlinear.norm, tolerance) if self.newton.stalled else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 from petsc4py import PETSc
 
@@ -17,8 +18,9 @@ STEPS = 10  # of the load, where supports or moving obstacles lead the shell
 class StaticsOptions:
     """load_steps: first step is 1/load_steps, None: see the function `load_steps`; max_steps: attempts in all;
     perturbation off unstable branches in thicknesses; tolerance: residual over the load's norm; stability: test the end
-    state, eigenvalue: with its smallest eigenvalue; fast: full steps before the descent method, which are of no use
-    from a start that strains the shell far beyond its equilibrium; nested: coarser levels of the mesh first, where
+    state, eigenvalue: with its smallest eigenvalue; first: the method to begin with,
+    newton near an equilibrium, descent from a start that strains the shell far beyond one, where full steps are of no
+    use; nested: coarser levels of the mesh first, where
     that pays (see solver.nested)."""
 
     load_steps: int | None = None
@@ -27,7 +29,7 @@ class StaticsOptions:
     tolerance: float = 1e-8
     stability: bool = True
     eigenvalue: bool = False
-    fast: bool = True
+    first: Literal["newton", "descent"] = "newton"
     nested: bool = False
 
 

@@ -3,7 +3,7 @@
 from petsc4py import PETSc
 
 from voile.problem.discrete import Problem
-from voile.problem.imperfection import disturb
+from voile.problem.imperfection import perturb
 from voile.solver.path import Path, Progress, StaticsOptions
 from voile.solver.stepping.load_path import LoadPath
 
@@ -21,6 +21,6 @@ def solve_statics(
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
     if start is None and not problem.contact:  # friction would remember it
-        disturb(problem, y, options.perturbation * problem.thickness())
+        perturb(problem, y, options.perturbation * problem.thickness())
     LoadPath(problem, y, options, path).follow(on_step)
     return path

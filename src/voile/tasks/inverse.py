@@ -10,7 +10,7 @@ from voile.tasks.estimate import estimate
 from voile.tasks.rest import find_panels, find_surface, write_result
 from voile.tasks.run import Run
 
-HOVERS = 1e-4  # sizes: gaps of contacts that bear
+HOVERS = 1e-4  # sizes: gaps of active contacts
 LOOSE = 1e-3  # sizes: a sag of panels that their seams may be to blame for
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError, NotConverged
-from voile.inverse.apart import flatten_apart
 from voile.inverse.flatten import FlatPanels, distortion, flatten
+from voile.inverse.overlaps import split_overlaps
 from voile.inverse.panels import split
 from voile.inverse.pattern import make_pattern, pattern_summary, sewing
 from voile.inverse.stitched import add_stitches
@@ -15,15 +15,15 @@ from voile.mesh import Pattern, build_topology
 from voile.problem.shell import Shell
 
 
-def lay_flat(model, shell: Shell, points: np.ndarray, apart: bool) -> FlatPanels:
+def lay_flat(model, shell: Shell, points: np.ndarray, cut_overlaps: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
-    several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. apart: panels that
-    overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot be laid
-    flat."""
+    several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. cut_overlaps:
+    panels that overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot
+    be laid flat."""
     surface = model.surface
     groups = (surface.group, surface.group_names) if len(surface.group_names) > 1 else None
-    if apart:
-        flat = flatten_apart(shell.triangles, points, groups, model.cuts, cut_open=True)
+    if cut_overlaps:
+        flat = split_overlaps(shell.triangles, points, groups, model.cuts, cut_open=True)
     else:
         flat = flatten(split(shell.triangles, points, groups, model.cuts, cut_open=True))
     if surface.stitches is None:
@@ -111,7 +111,7 @@ def pattern_of_surface(
     several pieces: its figures, and its points (p, 2) m with those of each triangle's corners (m, 3). Says why where
     there is none."""
     try:
-        flat = lay_flat(model, shell, rest, apart=False)
+        flat = lay_flat(model, shell, rest, cut_overlaps=False)
         pattern = draw(flat, allowance, up)
         points = np.concatenate([piece.points for piece in pattern.pieces])
         figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)

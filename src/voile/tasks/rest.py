@@ -84,7 +84,7 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
 def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
     """The target laid flat as panels, and the shell that they are."""
     assert job.model and shell
-    flat = lay_flat(job.model, shell, _sewn(shell), apart=True)
+    flat = lay_flat(job.model, shell, _sewn(shell), cut_overlaps=True)
     return flat, cut_apart(shell, flat)
 
 
@@ -189,7 +189,7 @@ def write_result(job: Run, shell: Shell | None, result: InverseResult, flat: Fla
     directors = problem.directors and not flat
     with job.results(job.mesh(shell, directors, mode=mode)) as writer:
         at_target = rows(problem, target.rest.state(result.rest))
-        if target.touches:
+        if target.contacts:
             own = problem.part.owned_vertices
             at_target["point_data"] = {name: values[own] for name, values in target.fields().items()}
             at_target["placements"] = np.array([body.motion.matrix(0.0) for body in target.obstacles])

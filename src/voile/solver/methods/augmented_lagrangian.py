@@ -9,7 +9,7 @@ from petsc4py import PETSc
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of
 from voile.problem.discrete import Problem
-from voile.problem.imperfection import disturb
+from voile.problem.imperfection import perturb
 from voile.solver.cascade import attempt
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome
@@ -52,7 +52,7 @@ class AugmentedLagrangian:
         potential.freeze(problem.point(y))
         rough = options.roughest * tolerance
         if not contact.itself:
-            disturb(problem, y, self.perturbation)
+            perturb(problem, y, self.perturbation)
         for _ in range(options.updates):
             held = problem.with_terms(potential)
             if not self.descent.run(held, y, max(tolerance, rough), options.iterations):

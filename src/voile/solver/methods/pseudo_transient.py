@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
 from voile.problem.discrete import Problem
-from voile.problem.imperfection import disturb
+from voile.problem.imperfection import perturb
 from voile.problem.inertia import Inertia
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
@@ -120,7 +120,10 @@ class PseudoTransient:
                 continue
             inertia = step.term_norm(inertial, y)
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
-            rate = rate if self._fresh(problem) else self._next(rate, slow)
+            if not self._fresh(problem):
+                rate = self._next(rate, slow)
+            elif problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * options.fresh:
+                rate *= options.fade  # it falls on, or hangs freely
             if inertia > min(options.near * loads, 0.3 * peak):
                 continue
             peak = inertia
@@ -162,7 +165,7 @@ class PseudoTransient:
         f = y.duplicate()
         problem.residual(y, f)
         if not contact.itself:  # layers take long to settle again
-            disturb(problem, y, self.perturbation)
+            perturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         done = self.descent.run(problem, y, rough, options.iterations)
         if fresh and problem.largest_motion(difference(y, home)) > options.fresh + 2.0 * driven:
@@ -192,7 +195,7 @@ class PseudoTransient:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
         if round_off(problem, y)[0] <= self.options.blurred * tolerance:
             return False
-        problem.rebase(y)
+        problem.move_origin(y)
         return True
 
     def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> None:

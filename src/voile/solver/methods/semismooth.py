@@ -1,8 +1,8 @@
 """Semismooth Newton method for equilibrium together with Signorini's and Coulomb's laws.
 
 Unknowns are displacements, director angles and the reactions of the contacts that may carry one. Per iteration: one
-factorisation of the shell's tangent, to which each active contact adds a firm 3x3 block, and a few more solves with it
-that turn those into the exact linearised laws, the reactions being multipliers. Without slip the matrix is symmetric
+factorisation of the shell's tangent, to which each active contact adds a 3x3 penalty block, and a few more solves with
+it that turn those into the exact linearised laws, the reactions being multipliers. Without slip the matrix is symmetric
 and the factorisation counts negative eigenvalues on the contacts' tangent space; with slip it is not, and LU serves.
 SNES prefix semismooth_.
 """
@@ -28,7 +28,7 @@ SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 @dataclass
 class Options:
     """iterations: those that converge take under 30, a front of contacts that moves row by row up to 60. corrections:
-    solves with one factorisation that turn firm stiffnesses into constraints, to round-off with three. patience:
+    solves with one factorisation that turn penalties into constraints, to round-off with three. patience:
     iterations without halving the norm after which it will not converge, or cycles. growth of the norm beyond which it
     has left."""
 
@@ -71,7 +71,7 @@ class Semismooth:
         outcome = self._run(problem, y, tolerance)
         if not self.stalled:
             return outcome
-        problem.rebase(y)  # the rounding of large displacements may hide that it has converged
+        problem.move_origin(y)  # the rounding of large displacements may hide that it has converged
         outcome = self._run(problem, y, tolerance)
         reason = to_round_off(problem, y, self.nonlinear.norm, tolerance) if self.stalled else ""
         return Outcome(True, self.name, reason) if reason else outcome
@@ -138,10 +138,10 @@ class Iterate:
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)
                 return
-            share = limit(problem, y, direction)
+            length = limit(problem, y, direction)
             problem.predict(y, direction)
             y.axpy(1.0, direction)
-            linear.reactions(share)
+            linear.reactions(length)
             now = linear.states()
             self.steps.append(Iteration(residual, mismatch, symmetric, now != states))
             states, kind = now, "mixed"
@@ -155,7 +155,7 @@ class Iterate:
         return reason
 
     def _direction(self, solver: LinearSolver, matrix, linear: Linearised, y, f, direction) -> None:
-        """The Newton step: corrects reactions and step until the firm stiffnesses carry nothing."""
+        """The Newton step: corrects reactions and step until the penalties carry nothing."""
         problem = self.method.nonlinear.problem
         direction.set(0.0)
         image, part = direction.duplicate(), direction.duplicate()

@@ -60,11 +60,11 @@ def descent_direction(linear: LinearSolver, residual: PETSc.Vec, direction: PETS
 def limit(problem: Problem, y: PETSc.Vec, direction: PETSc.Vec) -> float:
     """Shortens a step from y that would move something beyond what a linearisation can mean, or carry a layer of the
     shell through another or a hinge through 180 degrees; the share of it that is left."""
-    share = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
-    direction.scale(share)
+    length = min(1.0, REACH / max(problem.largest_motion(direction), 1e-300))
+    direction.scale(length)
     admitted = problem.longest_step(y, direction)
     direction.scale(admitted)
-    return share * admitted
+    return length * admitted
 
 
 def test(snes: PETSc.SNES, iteration: int, y: PETSc.Vec, direction: PETSc.Vec, norm: float) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass
 class Options:
-    """easy: Newton iterations up to which a load step grows. snap: of the load steps' length; a leap in less is a
+    """easy: Newton iterations up to which a load step grows. snap: of the load steps' length; a jump in less is a
     snap. restless: snaps from which their onset is not looked for. quiet: of the load steps' length, a step without a
     snap from which it is again. smallest: load step that is not cut any more. hopeless: cuts in all after the last
     resort, where every success is followed by a failure (a shell too soft for its weight)."""
@@ -55,7 +55,7 @@ class StepControl:
 
     @property
     def shortest(self) -> bool:
-        """Whether a leap in the next step is a snap."""
+        """Whether a jump in the next step is a snap."""
         short = self.target - self.factor <= self.options.snap * self.nominal
         return self.most == 0 or short or self.snaps >= self.options.restless
 
@@ -74,15 +74,15 @@ class StepControl:
         """Where nothing but the loads leads the shell: all that is left of them at once."""
         self.step = self.longest = self.nominal = 1.0
 
-    def leapt(self) -> None:
+    def take_back(self) -> None:
         """After a step that has to be taken back."""
         self.step = self.longest = 0.25 * (self.target - self.factor)
 
-    def done(self, iterations: int, moved: float, leaps: bool) -> None:
+    def done(self, iterations: int, moved: float, jumps: bool) -> None:
         """After a step with so many iterations and such a motion."""
-        self.rate = self.rate if leaps else moved / (self.target - self.factor)
-        quiet = not leaps and self.target - self.factor >= self.options.quiet * self.nominal
-        self.snaps = 0 if quiet else self.snaps + leaps
+        self.rate = self.rate if jumps else moved / (self.target - self.factor)
+        quiet = not jumps and self.target - self.factor >= self.options.quiet * self.nominal
+        self.snaps = 0 if quiet else self.snaps + jumps
         self.cuts = 0
         self.advanced(iterations)
 

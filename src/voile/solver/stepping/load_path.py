@@ -1,6 +1,6 @@
 """Quasi-static load paths: load steps around a cascade of methods, off unstable branches, to stable ends.
 
-With contact and friction the order of the steps matters. A leap is then a step in which the shell moves far more than
+With contact and friction the order of the steps matters. A jump is then a step in which the shell moves far more than
 supports and obstacles do and than the step before lets expect, or to an equilibrium that slip makes unstable: either
 the step was too long and Newton's method fell on another branch, or the shell snaps. Motion along a branch goes to
 zero with the load step, that of a snap does not: shorter steps tell them apart, and find where it snaps.
@@ -28,13 +28,13 @@ from voile.solver.stepping.control import StepControl
 @dataclass
 class Options:
     """cuts: quartered load steps before all methods are tried; patient: the same where loads have no potential to
-    descend on. leap: times the motion to be expected that a step may make. notable: sizes of the shell; a smaller
+    descend on. jump: times the motion to be expected that a step may make. notable: sizes of the shell; a smaller
     motion is none. nearby: sizes; a gap at which an obstacle touches. rounds: solves at one load until the tolerance,
     taken from the state, has settled."""
 
     cuts: int = 2
     patient: int = 8
-    leap: float = 5.0
+    jump: float = 5.0
     notable: float = 0.01
     nearby: float = 1e-3
     rounds: int = 6
@@ -156,7 +156,7 @@ class LoadPath:
 
     def _judge(self, done: LoadStep, start: State) -> LoadStep | None:
         """A converged step with contact: found again where it led through an obstacle, taken back (None) where it
-        leapt, brought to a stable end."""
+        jumped off its branch, brought to a stable end."""
         problem, y, control = self.problem, self.y, self.control
         assert start.history is not None
         began = start.history.reference
@@ -165,16 +165,16 @@ class LoadPath:
             done = again or replace(done, method=f"{done.method}, through an obstacle")
         moved = problem.largest_motion(difference(y, problem.unknowns_of(start)))
         stable = not self.asked.stability or done.negative == 0 or is_stable(self.solver.work, problem, y)
-        leaps = moved > self.options.leap * self._expected() or (control.stable and not stable)
-        if leaps and not control.shortest:
+        jumps = moved > self.options.jump * self._expected() or (control.stable and not stable)
+        if jumps and not control.shortest:
             problem.restore(y, start)
             self.problem = problem.at(control.factor)
-            control.leapt()
+            control.take_back()
             return None
-        if self.asked.stability and (leaps or not stable or control.target == 1.0):
+        if self.asked.stability and (jumps or not stable or control.target == 1.0):
             done, stable = self._settle_contact(done)
-        done.method = f"snap by {done.method}" if leaps and problem.supported else done.method
-        control.done(done.iterations, moved, leaps)
+        done.method = f"snap by {done.method}" if jumps and problem.supported else done.method
+        control.done(done.iterations, moved, jumps)
         control.stable = stable
         return done
 
@@ -182,27 +182,27 @@ class LoadPath:
         """The load step again in pseudo-time, in steps that do not lead through obstacles, from where it began; None,
         and y as it is, where that has no end."""
         problem, y = self.problem, self.y
-        leapt = problem.save(y)
+        ended = problem.save(y)
         problem.restore(y, start)
         done, _ = self._solve(True, watched=True)
         if done is None:
-            problem.restore(y, leapt)
+            problem.restore(y, ended)
         return done
 
     def _carry(self) -> None:
-        """Moves a shell that nothing holds with the obstacle that bears it, or else touches most of it, over the next
-        load step, where there is friction: it starts where it sticks, however far that is."""
+        """Moves a shell that nothing holds with the obstacle that carries it, or else is next to most of it, over
+        the next load step, where there is friction: it starts where it sticks, however far that is."""
         problem, y, control = self.problem, self.y, self.control
         contact, x = contact_of(problem), problem.positions(y)
-        bears = np.array(
+        pressing = np.array(
             [normal[problem.own].sum() for normal in contact.history.normal[: len(contact.obstacles)]]
         )
         limit = self.options.nearby * problem.size()
-        near = [contact.gap(k, x, control.factor) <= limit for k in range(len(bears))]
-        touches = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
-        bears, touches = problem.comm.allreduce(np.array([bears, touches]))
-        most = int(np.argmax(bears if bears.any() else touches))
-        if (bears[most] or touches[most]) and contact.obstacles[most].friction > 0.0:
+        near = [contact.gap(k, x, control.factor) <= limit for k in range(len(pressing))]
+        beside = np.array([np.count_nonzero(part[problem.own]) for part in near], dtype=float)
+        pressing, beside = problem.comm.allreduce(np.array([pressing, beside]))
+        most = int(np.argmax(pressing if pressing.any() else beside))
+        if (pressing[most] or beside[most]) and contact.obstacles[most].friction > 0.0:
             there = contact.obstacles[most].carry(x, control.factor, control.target)
             y.axpy(1.0, field_vector(problem, there - x))
 
@@ -216,7 +216,7 @@ class LoadPath:
         paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
         farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
         driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
-        return max(control.rate * (end - start), driven, self.options.notable / self.options.leap)
+        return max(control.rate * (end - start), driven, self.options.notable / self.options.jump)
 
     # ---- stable ends ----
 

@@ -23,7 +23,7 @@ def test_a_place_is_the_same_from_another_base():
     contact.history.normal[0][:] = 1.0
     place, x = problem.save(y), problem.positions(y)
     y.array[:] += 1e-3 * rng.normal(size=len(y.array_r))
-    problem.rebase(y)
+    problem.move_origin(y)
     assert y.norm() == 0.0 and np.abs(problem.positions(y) - x).max() > 1e-4
     contact.history.normal[0][:] = 2.0
     problem.restore(y, place)

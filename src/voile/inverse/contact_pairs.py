@@ -15,7 +15,7 @@ from voile.contact.pairs import Geometry
 
 
 @dataclass
-class Touch:
+class ContactPairs:
     """The c contacts with one partner (number `index` of Contact's) at the target, over s vertices each: their
     Geometry, with gaps (m) before any offset; code (c,): what the partner knows them by; own (c,) marks those counted
     on this rank."""
@@ -34,18 +34,18 @@ class Touch:
         return self.geometry.gap
 
     @property
-    def steepness(self) -> np.ndarray:
+    def gradient_norm(self) -> np.ndarray:
         """(c,) lengths of the gap's gradient."""
         return np.linalg.norm(self.geometry.gradient, axis=1)
 
     @property
     def normal(self) -> np.ndarray:
         """(c, 3) unit normals."""
-        return self.geometry.gradient / self.steepness[:, None]
+        return self.geometry.gradient / self.gradient_norm[:, None]
 
     def bent(self) -> np.ndarray:
         """(c, 3s, 3s) the gap's Hessian over its gradient's length (1/m)."""
-        return self.geometry.curvature / self.steepness[:, None, None]
+        return self.geometry.curvature / self.gradient_norm[:, None, None]
 
     @property
     def stencil(self) -> np.ndarray:
@@ -70,7 +70,7 @@ class Touch:
     def relative(self, field: np.ndarray) -> np.ndarray:
         """(c, 3, ...) of a field (local vertices, 3, ...): its value at a vertex on an obstacle, its jump between
         layers."""
-        wide = self.partner.widen(field)
+        wide = self.partner.gather(field)
         return np.einsum("cs,cs...->c...", self.geometry.weight, wide[self.geometry.vertex])
 
     def spread(self, reaction: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ class Touch:
         total = np.zeros((len(self.partner.free), 3))
         forces = self.geometry.weight[:, :, None] * reaction[:, None]
         np.add.at(total, self.geometry.vertex, forces)
-        return self.partner.narrow(total)
+        return self.partner.restrict(total)
 
     def over_vertices(self, block: np.ndarray) -> np.ndarray:
         """(c, 3s, 3s) what blocks (c, 3, 3) of `relative` are over the vertices."""
@@ -87,37 +87,37 @@ class Touch:
         return np.einsum("cs,ct,cij->csitj", weight, weight, block).reshape(len(self), size, size)
 
 
-def find_touches(contact: Contact, x: np.ndarray, tolerance: float) -> list[Touch]:
+def find_contact_pairs(contact: Contact, x: np.ndarray, tolerance: float) -> list[ContactPairs]:
     """What is nearer than `tolerance` (m) to touching at x (local vertices, 3) m, one entry per partner."""
     found = [_on_obstacle(contact, k, x, tolerance) for k in range(len(contact.obstacles))]
     return [*found, _on_itself(contact, x, tolerance)] if contact.itself else found
 
 
-def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> Touch:
-    partner, state = contact.partners[k], contact.history
+def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> ContactPairs:
+    partner, history = contact.partners[k], contact.history
     assert isinstance(partner, ObstacleContact)
-    near = np.flatnonzero((partner.gaps(x, 0.0, state) < tolerance) & partner.free)
-    geometry = partner.geometry(near, x, 0.0, state)
+    near = np.flatnonzero((partner.gaps(x, 0.0, history) < tolerance) & partner.free)
+    geometry = partner.geometry(near, x, 0.0, history)
     geometry.gap += partner.offset[near]
-    return Touch(k, partner, geometry, near, partner.counted(near, state))
+    return ContactPairs(k, partner, geometry, near, partner.counted(near, history))
 
 
-def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> Touch:
+def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> ContactPairs:
     """Of a vertex and triangles only where it is nearest: what surrounds that place holds nothing beside it. And of all
     pairs only as many as are independent."""
     partner = contact.itself
     assert partner is not None
-    wide, layers, index = partner.widen(x), partner.layers, len(contact.obstacles)
+    wide, layers, index = partner.gather(x), partner.layers, len(contact.obstacles)
     found = layers.find(wide, further=tolerance)
     c, split = closest(found, wide), found.faces
     near = (c.distance < layers.thickness + tolerance) & partner.free[found.vertex].any(axis=1)
     near[:split] &= _nearest(found.vertex[:split], c.weight[:split], c.distance[:split])
     rows = np.flatnonzero(near)
     rows = rows[_independent(found.vertex[rows], c.weight[rows], np.count_nonzero(rows < split))]
-    state = replace(contact.history, candidates=found)
-    geometry = partner.geometry(rows, wide, 0.0, state)
+    history = replace(contact.history, candidates=found)
+    geometry = partner.geometry(rows, wide, 0.0, history)
     geometry.gap += layers.thickness
-    return Touch(index, partner, geometry, found.code[rows], partner.counted(rows, state))
+    return ContactPairs(index, partner, geometry, found.code[rows], partner.counted(rows, history))
 
 
 def _nearest(vertex: np.ndarray, weight: np.ndarray, distance: np.ndarray) -> np.ndarray:

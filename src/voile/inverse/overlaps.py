@@ -11,7 +11,7 @@ from voile.mesh import build_topology
 SOURCES = 60  # points of an outline from which a cut is tried
 
 
-def flatten_apart(
+def split_overlaps(
     triangles: np.ndarray,
     points: np.ndarray,
     groups: Groups | None = None,
