@@ -17,8 +17,8 @@ TASKS = {
 class Statics:
     load_steps: int | None = key(
         Integer(1),
-        "first load step is 1/load_steps; adaptive from there; default: 10, or 1 where nothing holds the shell and no "
-        "obstacle moves",
+        "first load step is 1/load_steps; adaptive from there; default: 10, or 1 where there are obstacles and nothing "
+        "moves",
         default=None,
     )
     max_steps: int = key(Integer(1), "load steps tried in all", default=1000)

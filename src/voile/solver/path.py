@@ -81,8 +81,8 @@ def require(path: Path) -> Path:
 
 
 def load_steps(problem: Problem, options: StaticsOptions) -> int:
-    """Those of the options; else 10, or 1 for a shell that lies on what does not move: nothing leads it through partial
-    loads."""
+    """Those of the options; else 10, or 1 for a shell with obstacles where nothing moves: partial loads would lead it
+    through drapes that it never hangs in."""
     contact = problem.contact
     falls = contact is not None and not (problem.moves or contact.moves)
     return options.load_steps or (1 if falls else STEPS)
