@@ -24,10 +24,11 @@ class Supports:
 
     def between(self, start: float, end: float) -> np.ndarray:
         """(dofs,) prescribed displacement from time start to end (m)."""
+        if start == end or not self.motions:
+            return np.zeros(self.carry.shape[0])
         moved = np.zeros_like(self.points)
-        if start != end:
-            for rows, motion in self.motions:
-                moved[rows] = motion.between(self.points[rows], start, end)
+        for rows, motion in self.motions:
+            moved[rows] = motion.between(self.points[rows], start, end)
         return self.carry @ moved.ravel()
 
     def of(self, dofs: np.ndarray) -> "Supports":

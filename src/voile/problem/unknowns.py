@@ -33,7 +33,18 @@ class Unknowns:
 
     def _start(self) -> None:
         self.base = np.zeros(self.vertices)
-        self._closure, self._since = self.part.closure.copy(), 0.0  # what is not C unknowns, at which time
+        self._hold(self.part.closure.copy(), 0.0)
+
+    def _hold(self, closure: np.ndarray, time: float) -> None:
+        """What of the degrees of freedom is not C unknowns, at a time."""
+        self._closure, self._since = closure, time
+        self._held = closure, time
+
+    def held(self, time: float) -> np.ndarray:
+        """(dofs,) the closure and what supports have moved; kept for the next call."""
+        if self._held[1] != time:
+            self._held = self._closure + self.part.supports.between(self._since, time), time
+        return self._held[0]
 
     def create(self) -> PETSc.Vec:
         """A zero vector of unknowns."""
@@ -50,7 +61,7 @@ class Unknowns:
     def shape(self, y: PETSc.Vec, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Displacements from the origin (3 local vertices,) m and director angles (local edges,)."""
         u, phi = self.spread(y)
-        held = self._closure + self.part.supports.between(self._since, time)
+        held = self.held(time)
         return u + held[: self.vertices], phi + held[self.vertices :]
 
     def collect(self, dofs: np.ndarray) -> np.ndarray:
@@ -81,7 +92,7 @@ class Unknowns:
         u, phi = self.shape(y, time)
         self._counted_anew = True
         self.base = self.base + u
-        self._closure, self._since = np.concatenate([np.zeros_like(u), phi]), time
+        self._hold(np.concatenate([np.zeros_like(u), phi]), time)
         self.origin.axpy(1.0, y)
         y.set(0.0)
 
