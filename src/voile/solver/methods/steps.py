@@ -103,7 +103,7 @@ class Stall:
         """Whether the iterate y with this norm (N) is where it ends."""
         self.waited = 0 if norm < 0.5 * self.best else self.waited + 1
         self.best = min(norm, self.best)
-        if self.waited < self.idle:
+        if self.waited == 0 or self.waited % self.idle:  # round-off costs three residuals
             return False
         noise = max(round_off(problem, y))
         return norm / self.near < noise < self.far * norm
