@@ -26,7 +26,7 @@ class Forward:
         self.solves += 1
         wanted = tolerance(problem, y, self.options)
         if problem.contact:
-            found = self.solver.solve(problem, y, wanted, last_resort=True).converged
+            found = self.solver.solve(problem, y, wanted, self.solver.all).converged
             problem.reset_origin(y)
             return found
         return self.solver.descent.run(problem, y, wanted, PATIENCE)

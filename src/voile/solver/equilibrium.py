@@ -87,24 +87,20 @@ class Solver:
             return []
         return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).all)]
 
-    def solve(
-        self, problem: Problem, y: PETSc.Vec, wanted: float, last_resort: bool, watched: bool = False
-    ) -> Outcome:
+    def solve(self, problem: Problem, y: PETSc.Vec, wanted: float, by: Method) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
-        last_resort: by all methods, not only by those that follow a branch; watched: in steps that do not lead through
-        obstacles."""
+        by: `near`, the methods that follow a branch; `all`; or `watched`, steps that do not lead through obstacles."""
         if not math.isfinite(wanted):
             return Outcome(False, "", "the loads are not finite")
         if not problem.contact:
-            outcome = attempt(self.all if last_resort else self.near, problem, y, wanted)
+            outcome = attempt(by, problem, y, wanted)
             newton = self.mixed if outcome.method == self.mixed.name else self.descent
             self.norm, self.negative = newton.nonlinear.norm, newton.negative
             return outcome
         if _carried_through(problem, y):
             reason = "supports carry layers of the shell through each other in one load step"
             return Outcome(False, "", reason)
-        method: Method = self.watched if watched else self.all if last_resort else self.near
-        outcome = attempt(method, problem, y, wanted)
+        outcome = attempt(by, problem, y, wanted)
         if outcome.converged:
             self.norm = outcome.norm or float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
             self.negative = self.semismooth.negative

@@ -18,7 +18,7 @@ from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
-from voile.solver.methods.method import Outcome
+from voile.solver.methods.method import Method, Outcome
 from voile.solver.nested import pays
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
@@ -79,7 +79,7 @@ class LoadPath:
             self.problem = problem = self.problem.at(control.target)
             if problem.contact and problem.contact.moves and not problem.held:
                 self._carry()
-            done, outcome = self._solve(control.last_resort)
+            done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
                 self.problem = problem.at(control.factor)
@@ -123,14 +123,14 @@ class LoadPath:
 
     # ---- one load step ----
 
-    def _solve(self, last_resort: bool, watched: bool = False) -> tuple[LoadStep | None, Outcome]:
-        """The equilibrium at the problem's load factor; no step where there is none. watched: by steps that do not
-        lead through obstacles."""
+    def _solve(self, by: Method, then: Method | None = None) -> tuple[LoadStep | None, Outcome]:
+        """The equilibrium at the problem's load factor; no step where there is none. by: a method of the solver,
+        to be made sharper by `then`, or itself."""
         problem, solver, y = self.problem, self.solver, self.y
         before, method = solver.work.counts.iterations, ""
         for _ in range(self.options.rounds):  # loads that follow, and reactions, are others at the end
             wanted = tolerance(problem, y, self.asked)
-            outcome = solver.solve(problem, y, wanted, last_resort, watched and not method)
+            outcome = solver.solve(problem, y, wanted, (method and then) or by)
             self.path.seconds |= {"linear_solve": solver.work.counts.seconds}
             if problem.contact:
                 self.path.seconds |= {"contact": problem.contact.seconds}
@@ -184,7 +184,7 @@ class LoadPath:
         problem, y = self.problem, self.y
         ended = problem.save(y)
         problem.restore(y, start)
-        done, _ = self._solve(True, watched=True)
+        done, _ = self._solve(self.solver.watched, self.solver.all)
         if done is None:
             problem.restore(y, ended)
         return done
@@ -227,7 +227,7 @@ class LoadPath:
         stable, value = done.negative == 0 or is_stable(work, problem, y), None
         if not stable and self.solver.leave_saddle(problem, y, done.tolerance):
             self._begin()
-            again, _ = self._solve(False)
+            again, _ = self._solve(self.solver.near)
             done, stable = again or done, is_stable(work, problem, y)
         if problem.time == 1.0:
             if self.asked.eigenvalue or not stable:
@@ -252,7 +252,7 @@ class LoadPath:
                 break
             before = problem.save(y)
             y.axpy(reach(self.solver.perturbation, further), mode)
-            again, _ = self._solve(True)
+            again, _ = self._solve(self.solver.all)
             if again is None:
                 problem.restore(y, before)
                 continue
