@@ -28,8 +28,15 @@ def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
 
 
 def perturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
-    """Moves a start of a descent off symmetry by more than round-off does; perturbation in m."""
-    small = imperfection(problem, problem.positions(y))
+    """Moves a start of a descent off symmetry by more than round-off does; perturbation in m. What bears on an obstacle
+    stays there: its weight may be less than its contact makes of so small a motion."""
+    x, contact = problem.positions(y), problem.contact
+    small = imperfection(problem, x)
+    if contact:
+        bears = np.any([normal > 0.0 for normal in contact.history.normal[: len(contact.obstacles)]], axis=0)
+        small.pointwiseMult(
+            small, field_vector(problem, 1.0 * ~np.broadcast_to(bears, len(x))[:, None] * np.ones(3))
+        )
     small.scale(SMALL * perturbation)
     y.axpy(problem.longest_step(y, small), small)
 

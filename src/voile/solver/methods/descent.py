@@ -251,5 +251,6 @@ class Iterate:
 
     def _flat_enough(self, new_slope: float, slope: float, new_norm: float, norm: float) -> bool:
         if self.problem.conservative:
-            return new_slope <= (2 * self.options.sufficient - 1) * slope and new_slope >= 0.9 * slope
+            flatter = new_slope >= 0.9 * slope or new_norm < norm  # `_lengthen` goes on along a short step
+            return new_slope <= (2 * self.options.sufficient - 1) * slope and flatter
         return abs(new_slope) <= 0.9 * abs(slope) or new_norm < norm

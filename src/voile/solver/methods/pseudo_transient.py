@@ -55,7 +55,7 @@ class Options:
     iterations: int = 100
     rough: float = 0.3
     sharpest: float = 1e-5
-    near: float = 0.01
+    near: float = 1e-3
     blurred: float = 0.1
 
 
