@@ -15,7 +15,7 @@ from voile.mesh import write_obj
 from voile.problem.discrete import Problem
 from voile.problem.levels import coarsen
 from voile.results import read_result
-from voile.solver.nested import Options, pays, softened
+from voile.solver.nested import STRETCH, Options, pays, softened
 
 FABRIC = "[shell]\nmesh = 'cloth.obj'\nyoung = 1e6\nthickness = 1e-3\ndensity = 300.0\n"
 CORNERS = "[[fix]]\nselect = { box = [[-1e-9, -1, -1e-9], [1e-9, 1, 1e-9]] }\n" + (
@@ -91,8 +91,7 @@ def test_explain_tells_of_it(scene):
 
 def test_a_level_is_softer_in_its_plane_only():
     points, triangles = square(16)
-    shell = make_shell(points, triangles)
-    made = coarsen(shell)
+    made = coarsen(make_shell(points, triangles, young=np.full(len(triangles), 1e9)))
     assert made is not None
     share = len(made[0].points) / len(points)
     soft = softened(made[0], share)
@@ -100,6 +99,16 @@ def test_a_level_is_softer_in_its_plane_only():
     assert np.allclose(membrane, share**2 * made[0].young * made[0].thickness, rtol=1e-12)
     assert np.allclose(bending, made[0].young * made[0].thickness ** 3, rtol=1e-12)
     assert np.allclose(soft.density * soft.thickness, made[0].density * made[0].thickness, rtol=1e-12)
+
+
+def test_a_level_does_not_stretch_far_under_its_own_weight():
+    points, triangles = square(16)
+    made = coarsen(make_shell(points, triangles))
+    assert made is not None
+    soft = softened(made[0], 0.01)
+    size = np.linalg.norm(np.ptp(points, axis=0))
+    strain = 9.81 * size * soft.density * soft.thickness / (soft.young * soft.thickness)
+    assert np.allclose(strain, STRETCH, rtol=1e-9)
 
 
 def test_small_meshes_are_solved_at_once():
