@@ -114,7 +114,7 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     assert dataclasses.astuple(scene.dynamics) == ("implicit-euler", 0.01, 1.0)
     assert dataclasses.astuple(scene.inverse) == (
         *(True, "adjoint", 0.0, 0.001, False, (), None, ()),
-        *((), 0.0, 1e-3, 20, 1e-8),
+        *((), 0.0, 1e-3, 20, 1e-8, 0.0),
     )
     assert scene.output.every == 1
 
@@ -223,6 +223,13 @@ def test_a_replaced_table_is_the_overrides_fault(tmp_path):
         ("fix.-1.axes=xy", "--set fix.-1.axes=xy: fix.-1: allowed: an index from 0 to 1"),
         ("loads.gravity=[0,0", "--set loads.gravity=[0,0: the value is not TOML"),
         ("statics.load_steps=0", "--set statics.load_steps=0: statics.load_steps: 0 is not allowed"),
+        *(
+            (
+                f"inverse.max_seconds={bad}",
+                f"--set inverse.max_seconds={bad}: inverse.max_seconds: {bad} is not allowed",
+            )
+            for bad in ("-1", "nan", "inf")
+        ),
         ("fix.0.select={node=1}", "--set fix.0.select={node=1}: fix.0.select.node: unknown key"),
     ],
 )

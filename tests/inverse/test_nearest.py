@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from test_direct import heavy_strip, rod, solve
 
 from voile.inverse.direct import Direct
 from voile.inverse.neighbours import Neighbours, Place
+from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import Target
@@ -118,6 +120,41 @@ def test_a_soft_skirt_ends_near_its_target_and_stays_there():
     tao = solve_inverse(problem, shape, [], 0.0, InverseOptions(method="tao"))
     assert tao.nearest is None and tao.adjoint is not None
     assert nearest.sag < 0.3 * tao.adjoint.steps[-1].sag
+
+
+def test_a_search_whose_time_is_over_ends_with_the_last_stable_shape(monkeypatch):
+    """A clock that counts steps ends the way; the shape is in stable equilibrium under its part of the load."""
+    shape = folded_skirt(24, 4, young=1e7)
+    problem, steps = Problem(shape, MPI.COMM_SELF), []
+    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(steps)))
+    options = InverseOptions(max_seconds=4.0)
+    result = solve_inverse(problem, shape, [], 0.0, options, on_nearest=steps.append)
+    nearest, figures = result.nearest, inverse_report(result)["nearest"]
+    assert nearest is not None and result.adjoint is None
+    assert figures["timed_out"] and figures["load_fraction"] == nearest.fraction
+    assert len(nearest.steps) == 4 and not result.converged
+    assert result.direct.fraction <= nearest.fraction == nearest.steps[-1].fraction < 1.0
+    assert f"inverse.max_seconds ended the search at {nearest.fraction:.4g} of the load" in result.reason
+    target = result.target
+    target.load(nearest.fraction)
+    target.rest.set(nearest.rest)
+    f = target.problem.create_vector()
+    target.residual(nearest.state, f)
+    assert f.norm() < 1e-8 * target.load_norm(nearest.state)
+    assert nearest.eigenvalue > 0.0
+
+
+def test_time_that_ends_at_the_full_load_leaves_an_answer(monkeypatch):
+    """Without the search for the least margin."""
+    shape = folded_skirt(24, 4, young=1e7)
+    problem, steps = Problem(shape, MPI.COMM_SELF), []
+    over = SimpleNamespace(perf_counter=lambda: 2.0 * bool(steps and steps[-1].fraction == 1.0))
+    monkeypatch.setattr("voile.inverse.nearest.time", over)
+    options = InverseOptions(max_seconds=1.0)
+    result = solve_inverse(problem, shape, [], 0.0, options, on_nearest=steps.append)
+    assert result.nearest is not None and result.nearest.timed_out and result.nearest.fraction == 1.0
+    assert result.held.stable and result.held.sag < 1e-6
+    assert "ended the search at 1 of the load" in result.reason
 
 
 def test_a_column_that_cannot_stand_leans_as_little_as_it_can():

@@ -15,6 +15,7 @@ each other, which the slopes of the eigenvalues do not tell.
 """
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,7 @@ from voile.inverse.neighbours import Move, Neighbours, Place
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
+from voile.problem.discrete import Problem
 
 MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
@@ -57,7 +59,8 @@ class NearestStep:
 @dataclass
 class NearestPath:
     """The outcome: rest displacements with director angles, the equilibrium found with its sag (over the size), its
-    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), the margin (over g/L), and the steps."""
+    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), the margin (over g/L), the steps, the fraction of
+    the load, and whether time ended the search."""
 
     rest: PETSc.Vec
     state: PETSc.Vec
@@ -66,6 +69,8 @@ class NearestPath:
     mode: PETSc.Vec
     margin: float
     steps: list[NearestStep]
+    fraction: float = 1.0
+    timed_out: bool = False
 
 
 @dataclass
@@ -139,6 +144,20 @@ class Pace:
         self.moving = False
 
 
+class Clock:
+    """Wall time that a search may take (s; 0: no limit), the same on all ranks. ended: whether it was found over."""
+
+    def __init__(self, problem: Problem, seconds: float):
+        self.problem, self.end = problem, time.perf_counter() + (seconds or math.inf)
+        self.ended = False
+
+    def over(self) -> bool:
+        """Whether the time is over on any rank. Collective."""
+        if self.end < math.inf and not self.ended:
+            self.ended = not self.problem.everywhere(time.perf_counter() < self.end)
+        return self.ended
+
+
 Progress = Callable[[NearestStep], None]
 Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
 
@@ -146,8 +165,8 @@ Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its
 class Nearest:
     """Path of nearest stable shapes of a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, on_step: Progress | None = None):
-        self.target, self.problem = direct.target, direct.problem
+    def __init__(self, direct: Direct, clock: Clock, on_step: Progress | None = None):
+        self.target, self.problem, self.clock = direct.target, direct.problem, clock
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
@@ -164,7 +183,7 @@ class Nearest:
         the sag is more than slight and so many steps are left."""
         way = (fraction - place.fraction, margin - place.margin)
         pace = Pace() if any(way) else Pace(left=0.0, moving=False)
-        while self.budget:
+        while self._goes_on():
             self.budget -= 1
             if pace.at_end:
                 pace.enough = SETTLED if self._sag(place) <= SLIGHT else exact
@@ -176,6 +195,10 @@ class Nearest:
                 place.fraction, place.margin = fraction, margin  # without round-off
             self._note(place)
         return place, pace.at_end
+
+    def _goes_on(self) -> bool:
+        """Whether there are steps and time left. Collective."""
+        return self.budget > 0 and not self.clock.over()
 
     def _step(self, place: Place, way: tuple[float, float], pace: Pace) -> Trial | None:
         """The next place, at a pace that is changed on the way there; None where there is none."""
@@ -271,7 +294,7 @@ class Nearest:
         # the way is easier away from the loss of stability
         place, _ = self.advance(place, place.fraction, margin)
         place, reached = self.advance(place, 1.0, place.margin)
-        while self.budget and not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow:
+        while not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow and self._goes_on():
             place.margin *= 0.5
             place, reached = self.advance(place, 1.0, place.margin)
         return place, reached
@@ -282,6 +305,8 @@ class Nearest:
         def firm(place: Place) -> bool:
             return stays(place.z, self._sag(place))
 
+        if self.clock.over():
+            return first
         found, holds = first, firm(first)
         for factor in LESS if holds else MORE:
             if holds and self._sag(found) <= SLIGHT:
@@ -310,8 +335,9 @@ class Nearest:
         mode.scale(1.0 / mode.norm(PETSc.NormType.INFINITY))
         margin = place.margin / self.beside.slow
         return NearestPath(
-            place.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps)
-        )
+            place.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps), place.fraction,
+            self.clock.ended,
+        )  # fmt: skip
 
     def _sag(self, place: Place) -> float:
         """Largest displacement from the target over the size."""
@@ -334,15 +360,22 @@ def _orthonormal(gram: np.ndarray) -> np.ndarray:
 
 
 def approach(
-    target: Target, path: DirectPath, margin: float, stays: Stays, on_step: Progress | None = None
+    target: Target,
+    path: DirectPath,
+    margin: float,
+    stays: Stays,
+    on_step: Progress | None = None,
+    seconds: float = 0.0,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
-    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. None where
-    the full load is not reached or nothing is free to move."""
+    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. seconds: of
+    the search (0: no limit), which then ends with the last stable shape. None where the full load is not reached before
+    that, or nothing is free to move."""
+    clock, stable = Clock(target.problem, seconds), list[tuple[Nearest, Place]]()
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
-        search = Nearest(Direct(target), on_step)
+        search = Nearest(Direct(target), clock, on_step)
         if not search.beside.movable.sum():  # all of it touches
             return None
         place, reached = search.reach(path, first * search.beside.slow)
@@ -350,4 +383,9 @@ def approach(
             wanted = margin * search.beside.slow
             place = search.advance(place, 1.0, wanted)[0] if margin else search.confirm(place, stays)
             return search.outcome(search.settled(place))
+        if len(place.values):
+            stable.append((search, place))
+        if clock.over() and stable:
+            search, place = max(stable, key=lambda each: each[1].fraction)
+            return search.outcome(place)
     return None

@@ -68,7 +68,8 @@ class InverseResult:
     def converged(self) -> bool:
         """Whether the rest shape's simulation ends stable: in the target, or as near to it as was found."""
         found = self.direct.converged or self.nearest is not None or self.adjoint is not None
-        return found and self.stable and self.simulation.stable and not (self._drifts or self._far)
+        fails = self._drifts or self._far or self._short
+        return found and self.stable and self.simulation.stable and not fails
 
     @property
     def _far(self) -> bool:
@@ -80,14 +81,25 @@ class InverseResult:
         return self.held is not None and not (self.held.stable and self.held.sag <= STILL)
 
     @property
+    def _short(self) -> bool:
+        """Whether the nearest answer is one under a part of the load."""
+        return self.nearest is not None and self.nearest.fraction < 1.0
+
+    @property
     def reason(self) -> str:
         far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
         settled, beside = self.simulation.path.converged, self.disturbed.path.converged
         settles = "; the simulation from beside it did not settle" if settled and not beside else ""
         if self.spread > SPREAD:
             settles = f"; the simulation from beside it ends elsewhere, {self.disturbed.sag:.2g} sizes from the target"
-        said, bounds = self._finding() + far + settles, self.target.bounds
+        said, bounds = self._finding() + far + settles + self._ended(), self.target.bounds
         return said if self.exact or bounds.last in said else said + bounds.told()
+
+    def _ended(self) -> str:
+        """That time ended the search, and how far the load got."""
+        if not (self.nearest and self.nearest.timed_out):
+            return ""
+        return f"; inverse.max_seconds ended the search at {self.nearest.fraction:.4g} of the load"
 
     def _finding(self) -> str:
         if not self.simulation.path.converged:
@@ -103,7 +115,9 @@ class InverseResult:
             unstable = f"the target is unstable: {self._unstable()}"
             return "target in stable equilibrium" if self.stable else unstable
         if self.nearest:
-            found = f"nearest stable answer found, with sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
+            part = f" under {self.nearest.fraction:.4g} of the load" if self._short else ""
+            size = f"sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
+            found = f"nearest stable answer found{part}, with {size}"
             where = "; a simulation from it leaves it" if self._drifts else leaves
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
@@ -175,7 +189,14 @@ def _nearest(result: InverseResult) -> dict | None:
     nearest, held = result.nearest, result.held
     if not (nearest and held):
         return None
-    return {"sag": nearest.sag, "margin": nearest.margin, "steps": len(nearest.steps), "moved": held.sag}
+    return {
+        "sag": nearest.sag,
+        "margin": nearest.margin,
+        "steps": len(nearest.steps),
+        "moved": held.sag,
+        "load_fraction": nearest.fraction,
+        "timed_out": nearest.timed_out,
+    }
 
 
 def _reactions(result: InverseResult) -> dict:

@@ -36,7 +36,8 @@ class InverseOptions:
     "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
     (smallest eigenvalue over g/L; 0: the least at which simulations from the target end), or, where there is no way to
     it and with "tao", by TAO with the weight `regularisation` of the rest shape's change, for `iterations` at most;
-    developable: the rest shape has no angle defect inside."""
+    developable: the rest shape has no angle defect inside; max_seconds: of the search for the nearest stable shape, 0:
+    no limit."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
@@ -46,6 +47,7 @@ class InverseOptions:
     regularisation: float = 1e-3
     iterations: int = 20
     developable: bool = False
+    max_seconds: float = 0.0
 
 
 def solve_inverse(
@@ -84,7 +86,7 @@ def solve_inverse(
     if not path.converged and options.method == "direct":
         path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
-        nearest = approach(target, path, options.margin, stays, on_nearest)
+        nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds)
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         try:
@@ -94,7 +96,8 @@ def solve_inverse(
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
     beside = nearest or adjoint
-    exact = Direct(target).home(beside.state, beside.rest, on_step) if beside else None
+    whole = beside is not None and (nearest is None or nearest.fraction == 1.0)
+    exact = Direct(target).home(beside.state, beside.rest, on_step) if beside and whole else None
     if exact:  # past where the direct branch turned back
         exact.iterations += path.iterations
         path, nearest, adjoint = exact, None, None

@@ -105,6 +105,12 @@ class Inverse:
         "norm of the residual over the norm of the load, of the simulations that prove the rest shape",
         default=1e-8,
     )
+    max_seconds: float = key(
+        Number("s", least=0),
+        "adjoint: wall time after which the search for the nearest stable shape ends with the best one so far; 0: no "
+        "limit",
+        default=0.0,
+    )
 
     def check(self, given: set[str]) -> None:
         names = self.estimate

@@ -30,6 +30,7 @@ def run(job: Run) -> str:
         spec.regularisation,
         spec.iterations,
         developable=spec.developable == "constraint",
+        max_seconds=spec.max_seconds,
     )
     start = time.perf_counter()
     find = find_panels if spec.developable == "panels" else find_surface
