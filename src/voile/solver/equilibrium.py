@@ -50,11 +50,14 @@ class Solver:
         if problem.contact:
             self._for_contact(problem, options)
         else:
-            nested = options.nested and pays(problem)
-            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if nested else None)
+            short = options.nested and pays(problem)
+            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if short else None)
             minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
             self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum])
-            self.all = Cascade([*self._nested(minimum, options), minimum])
+            nested = self._nested(minimum, options)
+            self.all = Cascade([*nested, minimum])
+            # Where a level does not start from the next coarser one, neither will the finer ones.
+            self.level = Cascade(nested or [minimum])
 
     def _for_contact(self, problem: Problem, options: StaticsOptions) -> None:
         work, descent, off = self.work, self.descent, self.perturbation
@@ -79,13 +82,13 @@ class Solver:
             # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
             near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
-        self.all = Cascade([*near, *later], self.off_saddle)
+        self.level = self.all = Cascade([*near, *later], self.off_saddle)
 
     def _nested(self, fine: Method, options: StaticsOptions) -> list[Method]:
         """Nested iteration around a method, where it pays."""
         if not (options.nested and pays(self.problem)):
             return []
-        return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).all)]
+        return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).level)]
 
     def solve(self, problem: Problem, y: PETSc.Vec, wanted: float, by: Method) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
