@@ -65,6 +65,18 @@ def test_its_equilibrium_is_stable_and_as_low(scene, tmp_path, tables, higher):
     assert sum(nested["energy"].values()) <= low + higher * abs(low)
 
 
+def test_a_shell_without_loads(scene, tmp_path):
+    """Held all round in a frame too small for its rest shape, it buckles."""
+    points, triangles = square(25)
+    write_obj(tmp_path / "rest.obj", 1.3 * points, triangles)
+    text = scene.read_text().replace("mesh = ", "rest = 'rest.obj'\nmesh = ").replace("-9.81", "0.0")
+    scene.write_text(text + "[[fix]]\nselect = { boundary = 0 }\n")
+    found = solved(scene, tmp_path / "out")
+    assert found["converged"] and found["stable"]
+    with read_result(tmp_path / "out") as result:
+        assert np.ptp(result.points()[:, 1]) > 0.05
+
+
 def test_the_same_on_two_ranks(scene, tmp_path, run_on):
     scene.write_text(scene.read_text() + CORNERS)
     shapes = []

@@ -4,6 +4,7 @@ import numpy as np
 
 from voile import blas
 from voile.elastic import MODELS, has_directors
+from voile.problem.follower import pressure_origin
 from voile.problem.shell import Shell
 from voile.scene import Scene
 from voile.solver.nested import Options
@@ -122,7 +123,8 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         "statics.load_steps is given": statics.load_steps is not None,
         "supports or obstacles move": moves,
         "layers are kept apart": scene.contact.self_contact,
-        "loads without potential": shell.moment is not None or bool(shell.pressure),
+        "loads have no potential": shell.moment is not None
+        or (shell.pressure and pressure_origin(shell) is None),
         f"under {options.smallest} vertices": len(shell.points) <= options.smallest,
     }
     reason = next((reason for reason, holds in against.items() if holds), "")
@@ -132,10 +134,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
     while count > options.smallest:
         count = round(options.ratio * count)
         levels.append(f"{count}")
-    return (
-        True,
-        f"of about {' and '.join(levels[::-1])} vertices, where a load step fails; statics.nested = false",
-    )
+    return True, f"of about {' and '.join(levels[::-1])} vertices, where a load step fails (statics.nested)"
 
 
 def _contact(model: Model) -> str:

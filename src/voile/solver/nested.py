@@ -33,8 +33,7 @@ STRETCH = 0.05
 class Options:
     """ratio: of the vertices, from level to level. smallest: vertices that are not worth a level; they take under a
     second. rough: tolerance of a level over its loads, without contact: what is sharper is lost on the next level;
-    with 1e-2 folds are not yet made. faint: share of the
-    largest carried reaction that is none."""
+    with 1e-2 folds are not yet made. faint: share of the largest carried reaction that is none."""
 
     ratio: float = 0.25
     smallest: int = 500
@@ -52,8 +51,8 @@ def pays(problem: Problem, options: Options | None = None) -> bool:
 
 
 class Nested:
-    """Solves the next coarser level by `solver(level)`, which may be nested again, then the problem by `fine`. Both
-    are told where a level's shape has no use: its reason is that of `fine` then."""
+    """Solves the next coarser level by `solver(level)`, which may be nested again, then, from there, the problem by
+    `fine`. It does not converge where the level does not."""
 
     def __init__(
         self,
@@ -72,8 +71,8 @@ class Nested:
         level, method = self.level
         coarse = level.at(problem.time)
         z = self._restrict(y)
-        loads = coarse.load_norm(z)
-        wanted = tolerance * loads / problem.load_norm(y)
+        loads, full = coarse.load_norm(z), problem.load_norm(y)
+        wanted = tolerance * loads / full if full else tolerance  # the supports' reactions set it then
         found = method.solve(coarse, z, wanted if coarse.contact else max(self.options.rough * loads, wanted))
         if not found.converged:
             return replace(found, method="nested", gone=False)
