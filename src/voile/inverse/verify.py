@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.inverse.target import Target
@@ -79,7 +78,7 @@ def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:
     problem = target.problem
     origin = problem.positions(start) if start else target.x
     moved = np.linalg.norm(problem.positions(y) - origin, axis=1)
-    return problem.comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX) / problem.size()
+    return problem.in_sizes(moved)
 
 
 def _disturbance(target: Target) -> PETSc.Vec:

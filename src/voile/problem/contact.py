@@ -178,8 +178,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
 def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.ndarray) -> bool:
     """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
     present one, leads a vertex through an obstacle."""
-    farthest = float(np.linalg.norm(after - before, axis=1).max(initial=0.0))
-    farthest = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+    farthest = problem.in_sizes(np.linalg.norm(after - before, axis=1))
     shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
     inside = contact_of(problem).inside_between(before, began, after, problem.time, shares, problem.size())
     return not problem.everywhere(not inside.any())

@@ -309,8 +309,11 @@ class Problem:
 
     def largest_motion(self, direction: PETSc.Vec) -> float:
         """Largest displacement component of a direction of the unknowns over the shell's size."""
-        u, _ = self.layout.spread(direction)
-        return float(self.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)) / self._length
+        return self.in_sizes(self.layout.spread(direction)[0])
+
+    def in_sizes(self, lengths: np.ndarray) -> float:
+        """Largest of all ranks' lengths (m), whatever their sign, over the shell's size."""
+        return float(self.comm.allreduce(float(np.abs(lengths).max(initial=0.0)), op=MPI.MAX)) / self._length
 
     def thickness(self) -> float:
         """Mean thickness (m)."""

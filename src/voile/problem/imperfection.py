@@ -12,10 +12,10 @@ SHORTEST = 0.1  # sizes of the shell
 SMALL = 1e-3  # of the perturbation off saddles
 
 
-def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
+def imperfection(problem: Problem, x: np.ndarray | None = None, still: np.ndarray | None = None) -> PETSc.Vec:
     """A displacement of about 1 m, smooth and without symmetry: waves of fixed directions and phases, from the shell's
-    size down to a tenth of it; with positions x (local vertices, 3) only along the normals there. The same for all
-    meshes and numbers of ranks."""
+    size down to a tenth of it; with positions x (local vertices, 3) only along the normals there; none where
+    `still` (local vertices,). The same for all meshes and numbers of ranks."""
     part, random = problem.part, np.random.default_rng(0)
     waves, sizes = random.standard_normal((2, WAVES, 3))
     waves *= (2.0 * np.pi / np.geomspace(1.0, SHORTEST, WAVES) / np.linalg.norm(waves, axis=1))[:, None]
@@ -24,21 +24,25 @@ def imperfection(problem: Problem, x: np.ndarray | None = None) -> PETSc.Vec:
     if x is not None:
         normals = _normals(x, part.corners)
         field = (field * normals).sum(axis=1)[:, None] * normals
+    if still is not None:
+        field[still] = 0.0
     return field_vector(problem, field)
 
 
 def perturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
     """Moves a start of a descent off symmetry by more than round-off does; perturbation in m. What bears on an obstacle
     stays there: its weight may be less than its contact makes of so small a motion."""
-    x, contact = problem.positions(y), problem.contact
-    small = imperfection(problem, x)
-    if contact:
-        bears = np.any([normal > 0.0 for normal in contact.history.normal[: len(contact.obstacles)]], axis=0)
-        small.pointwiseMult(
-            small, field_vector(problem, 1.0 * ~np.broadcast_to(bears, len(x))[:, None] * np.ones(3))
-        )
+    small = imperfection(problem, problem.positions(y), _pressed(problem))
     small.scale(SMALL * perturbation)
     y.axpy(problem.longest_step(y, small), small)
+
+
+def _pressed(problem: Problem) -> np.ndarray:
+    """(local vertices,) marks those that bear on an obstacle."""
+    pressed, contact = np.zeros(len(problem.part.vertex), dtype=bool), problem.contact
+    for normal in contact.history.normal[: len(contact.obstacles)] if contact else ():
+        pressed |= normal > 0.0
+    return pressed
 
 
 def _normals(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

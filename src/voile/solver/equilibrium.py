@@ -27,7 +27,7 @@ from voile.solver.methods.mixed_newton import Options as MixedOptions
 from voile.solver.methods.off_saddle import OffSaddle
 from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
 from voile.solver.methods.semismooth import Semismooth, law_norms
-from voile.solver.methods.steps import to_round_off
+from voile.solver.methods.steps import sharpened
 from voile.solver.methods.tied import Tied
 from voile.solver.nested import Nested, pays
 from voile.solver.path import StaticsOptions
@@ -47,11 +47,11 @@ class Solver:
         self.norm = np.inf
         self.negative: int | None = None
         self.off_saddle: OffSaddle | None = None
+        self.nests = options.nested and pays(problem)
         if problem.contact:
             self._for_contact(problem, options)
         else:
-            short = options.nested and pays(problem)
-            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if short else None)
+            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if self.nests else None)
             minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
             self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum])
             nested = self._nested(minimum, options)
@@ -71,22 +71,22 @@ class Solver:
         self.watched = WatchedTransient(work, rough, self.semismooth, off)
         firm = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
         self.off_saddle = OffSaddle(work, firm, transient, off)
-        near: list[Method] = [first, tied] if options.first == "newton" else [tied, first]
-        if options.first == "newton":
-            near[1:1] = self._nested(transient, options)
+        contact = contact_of(problem)
+        near: list[Method] = [tied, first]
         later: list[Method] = [transient]
         if problem.supported:  # what nothing holds has no least potential
-            later.insert(0, AugmentedLagrangian(descent, self.semismooth, off))
-        contact = contact_of(problem)
-        if options.first == "newton" and not contact.itself and (problem.moves or contact.moves):
-            # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
-            near, later = [first, *later], [tied]
+            later = [AugmentedLagrangian(descent, self.semismooth, off), transient]
+        if options.first == "newton":
+            near = [first, *self._nested(transient, options), tied]
+            if not contact.itself and (problem.moves or contact.moves):
+                # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
+                near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
         self.level = self.all = Cascade([*near, *later], self.off_saddle)
 
     def _nested(self, fine: Method, options: StaticsOptions) -> list[Method]:
         """Nested iteration around a method, where it pays."""
-        if not (options.nested and pays(self.problem)):
+        if not self.nests:
             return []
         return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).level)]
 
@@ -140,21 +140,11 @@ class Minimum:
 
 
 class Sharpened:
-    """A method without contact, to round-off: where the rounding of large displacements hides that it has converged
-    they are counted anew from the shape reached; what then remains is round-off of the evaluation, and accepted as
-    such."""
+    """A method without contact, to round-off."""
 
     def __init__(self, method: Method, newton: MixedNewton | Descent):
         self.method, self.newton = method, newton
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        outcome = self.method.solve(problem, y, tolerance)
-        if not self.newton.stalled:
-            return outcome
-        problem.move_origin(y)
-        outcome = self.method.solve(problem, y, tolerance)
-        reason = (
-            to_round_off(problem, y, self.newton.nonlinear.norm, tolerance) if self.newton.stalled else ""
-        )
-        return Outcome(True, outcome.method, reason) if reason else outcome
+        return sharpened(self.method.solve, self.newton, problem, y, tolerance)

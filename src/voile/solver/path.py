@@ -18,10 +18,9 @@ STEPS = 10  # of the load, where supports or moving obstacles lead the shell
 class StaticsOptions:
     """load_steps: first step is 1/load_steps, None: see the function `load_steps`; max_steps: attempts in all;
     perturbation off unstable branches in thicknesses; tolerance: residual over the load's norm; stability: test the end
-    state, eigenvalue: with its smallest eigenvalue; first: the method to begin with,
-    newton near an equilibrium, descent from a start that strains the shell far beyond one, where full steps are of no
-    use; nested: coarser levels of the mesh first, where
-    that pays (see solver.nested)."""
+    state, eigenvalue: with its smallest eigenvalue; first: the method to begin with, newton near an equilibrium,
+    descent from a start that strains the shell far beyond one, where full steps are of no use; nested: coarser levels
+    of the mesh first, where that pays (see solver.nested)."""
 
     load_steps: int | None = None
     max_steps: int = 1000

@@ -8,7 +8,6 @@ semismooth method finishes without it. A shell that nothing holds slides on and 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
@@ -225,8 +224,7 @@ class WatchedTransient(PseudoTransient):
 def _driven(problem: Problem) -> float:
     """How far supports have moved since the step's start, in sizes of the shell."""
     moved = problem.part.supports.between(contact_of(problem).history.time, problem.time)
-    farthest = float(np.abs(moved[: 3 * len(problem.part.vertex)]).max(initial=0.0))
-    return problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+    return problem.in_sizes(moved[: problem.layout.vertices])
 
 
 def _slides(problem: Problem, step: PETSc.Vec) -> str:

@@ -19,7 +19,7 @@ from voile.problem.discrete import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
-from voile.solver.methods.steps import Stall, limit, test, to_round_off
+from voile.solver.methods.steps import Stall, limit, sharpened, test
 
 _REASON = PETSc.SNES.ConvergedReason
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
@@ -68,13 +68,7 @@ class Semismooth:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        outcome = self._run(problem, y, tolerance)
-        if not self.stalled:
-            return outcome
-        problem.move_origin(y)  # the rounding of large displacements may hide that it has converged
-        outcome = self._run(problem, y, tolerance)
-        reason = to_round_off(problem, y, self.nonlinear.norm, tolerance) if self.stalled else ""
-        return Outcome(True, self.name, reason) if reason else outcome
+        return sharpened(self._run, self, problem, y, tolerance)
 
     def _run(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         self.stalled = False

@@ -1,6 +1,8 @@
 """What Newton steps have in common: their factor, their bounds, and when round-off ends them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -8,10 +10,19 @@ from petsc4py import PETSc
 from voile.problem.discrete import Problem
 from voile.problem.scales import round_off
 from voile.solver.linear import LinearSolver
-from voile.solver.methods.method import NOT_FINITE, Workspace
+from voile.solver.methods.method import NOT_FINITE, Nonlinear, Outcome, Workspace
 
 WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 REACH = 0.2  # longest full step: displacement over the size of the shell
+
+Run = Callable[[Problem, PETSc.Vec, float], Outcome]
+
+
+class Stalling(Protocol):
+    """A method that knows whether only round-off was left of its last residual, above the tolerance."""
+
+    stalled: bool
+    nonlinear: Nonlinear
 
 
 @dataclass
@@ -85,6 +96,18 @@ def to_round_off(problem: Problem, y: PETSc.Vec, norm: float, tolerance: float) 
     if computed < tolerance or norm > WORTH * tolerance:
         return ""
     return f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"
+
+
+def sharpened(run: Run, newton: Stalling, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+    """A run of a method to round-off: where the rounding of large displacements hides that it has converged they are
+    counted anew from the shape reached; what then remains is round-off of the evaluation, and accepted as such."""
+    outcome = run(problem, y, tolerance)
+    if not newton.stalled:
+        return outcome
+    problem.move_origin(y)
+    outcome = run(problem, y, tolerance)
+    reason = to_round_off(problem, y, newton.nonlinear.norm, tolerance) if newton.stalled else ""
+    return Outcome(True, outcome.method, reason) if reason else outcome
 
 
 @dataclass

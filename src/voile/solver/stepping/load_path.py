@@ -9,7 +9,6 @@ zero with the load step, that of a snap does not: shorter steps tell them apart,
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, contact_report, leads_through
@@ -19,7 +18,6 @@ from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Method, Outcome
-from voile.solver.nested import pays
 from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
@@ -55,10 +53,10 @@ class LoadPath:
         path.counts = self.solver.work.counts
         contact = problem.contact
         cuts = self.options.cuts if problem.conservative else self.options.patient
-        if not contact and options.nested and pays(problem):
-            cuts = 1  # its descents start from coarser levels, not from the last load step
         if contact:
             cuts = self.options.cuts if problem.supported else 0  # a smaller load holds nothing better
+        elif self.solver.nests:
+            cuts = 1  # its descents start from coarser levels, not from the last load step
         first = 1.0 / load_steps(problem, options)
         self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0)
         self.moving = problem.moves or bool(contact and contact.moves)
@@ -214,8 +212,7 @@ class LoadPath:
         x = contact.history.reference[problem.own]
         paths = [problem.part.supports.between(start, end)[: contact.history.reference.size]]
         paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
-        farthest = max(float(np.abs(path).max(initial=0.0)) for path in paths)
-        driven = problem.comm.allreduce(farthest, op=MPI.MAX) / problem.size()
+        driven = problem.in_sizes(np.concatenate(paths))
         return max(control.rate * (end - start), driven, self.options.notable / self.options.jump)
 
     # ---- stable ends ----
