@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.elastic import model_name
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.shell import Shell
 from voile.solver.methods.method import Workspace

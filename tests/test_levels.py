@@ -12,8 +12,8 @@ from test_problem import make_shell, sewn_panels, sheet
 from voile.mesh import Stitches, boundary_loops, read_mesh, read_rest, sewing_matrix
 from voile.mesh.checks import flat_triangles
 from voile.mesh.topology import build_topology
-from voile.problem.discrete import Problem
 from voile.problem.levels import Prolongation, coarsen
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell, triangle_areas
 
 

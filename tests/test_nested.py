@@ -12,8 +12,8 @@ from mpi4py import MPI
 from test_problem import make_shell
 
 from voile.mesh import write_obj
-from voile.problem.discrete import Problem
 from voile.problem.levels import coarsen
+from voile.problem.problem import Problem
 from voile.results import read_result
 from voile.solver.nested import STRETCH, Options, pays, softened
 

@@ -7,7 +7,7 @@ from mpi4py import MPI
 from voile.errors import InputError
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, hilbert_order
 from voile.solver.linear import factored, negative_pivots

@@ -11,10 +11,10 @@ from test_problem import make_shell, sewn_panels, sheet, wavy
 
 from voile.contact.motion import Motion
 from voile.problem.constraints import build_constraints
-from voile.problem.discrete import Problem
 from voile.problem.held import Supports
 from voile.problem.inertia import Inertia
 from voile.problem.load import Load
+from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
 from voile.solver.linear import factored

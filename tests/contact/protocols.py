@@ -12,7 +12,7 @@ from scipy.optimize import root
 
 from voile.contact.obstacles import Box, Cylinder, Motion, Obstacle, Plane, Sphere
 from voile.problem.contact import contact_fields, with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics

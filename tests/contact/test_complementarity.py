@@ -8,7 +8,7 @@ from petsc4py import PETSc
 from voile.contact.obstacles import Plane
 from voile.errors import InputError
 from voile.problem.contact import contact_report, with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.methods.complementarity import OPTION
 from voile.solver.path import StaticsOptions

@@ -6,7 +6,7 @@ import pytest
 
 from voile.contact.obstacles import Box, Plane
 from voile.problem.contact import with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.methods.semismooth import Iterate
 from voile.solver.stepping.control import StepControl
 

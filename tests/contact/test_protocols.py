@@ -8,7 +8,7 @@ import pytest
 
 from voile.contact.obstacles import Motion, Sphere
 from voile.problem.contact import with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 

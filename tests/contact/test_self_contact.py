@@ -18,7 +18,7 @@ from voile.contact.obstacles import Plane
 from voile.errors import InputError
 from voile.mesh import write_obj
 from voile.problem.contact import contact_fields, contact_report, shell_layers, with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.results import read_result, read_summary
 from voile.solver.methods import pseudo_transient

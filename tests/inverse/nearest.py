@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from voile.inverse.forward import Forward
 from voile.inverse.objective import Change, Objective, scaled
 from voile.inverse.reduced import Reduced
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 
 def sample(kind, comm=MPI.COMM_SELF):

@@ -10,7 +10,7 @@ from test_direct import pleated_strip, solve
 from test_panels import cone_skirt
 
 from voile.inverse.bounds import AREAS, EDGES, Bounds, area_range
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest, RestShape
 
 

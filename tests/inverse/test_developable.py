@@ -14,7 +14,7 @@ from voile.inverse.panels import split
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 
 def skirt():

@@ -12,7 +12,7 @@ from voile.errors import InputError, NotConverged
 from voile.inverse.estimate import Estimation
 from voile.inverse.observation import Observation, UnknownRest
 from voile.problem.contact import with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
 

@@ -10,7 +10,7 @@ from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse, solve_panels
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 

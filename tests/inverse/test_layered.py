@@ -19,7 +19,7 @@ from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.mesh import read_mesh, write_obj
 from voile.problem.contact import shell_layers
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 OFFSET = 0.5e-3
 HOVER = 0.2e-3  # of a captured layer over the one below

@@ -19,7 +19,7 @@ from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 

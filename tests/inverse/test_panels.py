@@ -11,7 +11,7 @@ from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
 from voile.inverse.solve import InverseOptions, solve_panels
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics

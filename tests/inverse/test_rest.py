@@ -5,7 +5,7 @@ import pytest
 from inverse_shells import clamped_sheet, hanging_sheet, panels
 from mpi4py import MPI
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import RestShape
 
 

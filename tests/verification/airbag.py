@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from shells import Row, make, mapped, only, row
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, require
 from voile.solver.statics import solve_statics

@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 from scipy.optimize import brentq
 from shells import Row, line_force, make, mapped, row, solve
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.linear import factored
 

@@ -11,7 +11,7 @@ from mesh_helpers import generator
 from mpi4py import MPI
 
 from voile.elastic import model_name
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, StaticsOptions, require
 from voile.solver.statics import solve_statics

@@ -7,8 +7,8 @@ import pytest
 from airbag import HEIGHT, airbag, inflate
 from mpi4py import MPI
 
-from voile.problem.discrete import Problem
 from voile.problem.follower import pressure_origin
+from voile.problem.problem import Problem
 
 
 @pytest.mark.parametrize("model", ["membrane", pytest.param("koiter", marks=pytest.mark.slow)])

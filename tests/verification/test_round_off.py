@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 from shells import make, mapped
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.solver.statics import StaticsOptions, solve_statics
 

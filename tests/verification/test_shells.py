@@ -24,7 +24,7 @@ from shells import (
 )
 
 from voile.errors import InputError
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 
 def test_slit_annulus_follows_the_published_path():

@@ -24,7 +24,7 @@ from shapes import (
 )
 from shells import rates, solve
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 SIZES = [4.0, 2.0, 1.0]
 

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from mpi4py import MPI
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 AREAS = 0.1, 10.0
 EDGES = 0.1, 10.0

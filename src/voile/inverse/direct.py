@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from voile.errors import NotConverged
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
 from voile.solver.linear import factored, factorisation_error, use_lu
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.equilibrium import Solver
 from voile.solver.path import StaticsOptions, tolerance
 from voile.solver.statics import solve_statics

@@ -27,7 +27,7 @@ from voile.inverse.neighbours import Move, Neighbours, Place
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before

@@ -11,7 +11,7 @@ from voile.errors import InputError
 from voile.inverse.direct import Direct
 from voile.inverse.target import Target
 from voile.problem.contact import with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.shell import Shell
 from voile.solver.linear import use_cholesky

@@ -20,7 +20,7 @@ from voile.inverse.nearest import approach
 from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
 from voile.inverse.verify import simulate
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
 

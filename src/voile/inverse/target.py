@@ -17,7 +17,7 @@ from voile.inverse.bounds import Bounds
 from voile.inverse.contact_pairs import ContactPairs, clearances, find_contact_pairs
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.problem.contact import cone_fields, contact_of, with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, area_vectors

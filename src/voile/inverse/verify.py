@@ -6,7 +6,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.inverse.target import Target
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import area_vectors
 from voile.solver.path import Path, StaticsOptions

@@ -14,7 +14,7 @@ from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import margin
 from voile.problem.augmented import ImpenetrableLayers
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many

@@ -3,7 +3,7 @@
 import numpy as np
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.shell import area_vectors
 

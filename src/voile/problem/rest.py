@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from voile.problem.discrete import Blocks, Problem
 from voile.problem.partition import Part
+from voile.problem.problem import Blocks, Problem
 
 STILL = 0.1  # weight of panels' mean square displacement over the size, beside that of their strain
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order

@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 
 
 def slow_rate(problem: Problem) -> float:

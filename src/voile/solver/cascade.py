@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.methods.method import Method, Outcome
 
 

@@ -12,8 +12,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
 from voile.problem.imperfection import perturb
+from voile.problem.problem import Problem
 from voile.solver.cascade import Cascade, attempt
 from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian

@@ -16,9 +16,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, vertex_areas, with_obstacles
-from voile.problem.discrete import Problem
 from voile.problem.levels import coarsen
 from voile.problem.partition import gathered
+from voile.problem.problem import Problem
 from voile.problem.prolongation import Prolongation
 from voile.problem.rest import field_vector
 from voile.problem.shell import Shell
@@ -134,8 +134,8 @@ class Nested:
         for k in range(table.shape[1] // 4):
             pressure, shear = table[:, 4 * k], table[:, 4 * k + 1 : 4 * k + 4]
             largest = self.problem.comm.allreduce(float(pressure.max(initial=0.0)), op=MPI.MAX)
-            bears = np.where(pressure > self.options.faint * largest, area, 0.0)
-            history.normal[k], history.friction[k] = bears * pressure, bears[:, None] * shear
+            carries = np.where(pressure > self.options.faint * largest, area, 0.0)
+            history.normal[k], history.friction[k] = carries * pressure, carries[:, None] * shear
 
 
 def softened(shell: Shell, share: float) -> Shell:

@@ -7,7 +7,7 @@ from typing import Literal
 from petsc4py import PETSc
 
 from voile.errors import NotConverged
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
 from voile.solver.linear import Counts
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, seam_gaps
 from voile.solver.methods.descent import Descent

@@ -6,8 +6,8 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
 from voile.problem.imperfection import imperfection
+from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.state import State
 from voile.solver.linear import Counts, factored, use_cholesky

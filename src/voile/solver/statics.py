@@ -2,8 +2,8 @@
 
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
 from voile.problem.imperfection import perturb
+from voile.problem.problem import Problem
 from voile.solver.path import Path, Progress, StaticsOptions
 from voile.solver.stepping.load_path import LoadPath
 

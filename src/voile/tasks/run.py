@@ -25,7 +25,7 @@ from voile.contact.obstacles import Obstacle
 from voile.explain import modelled
 from voile.petsc_options import unused_options
 from voile.problem.contact import contact_fields, shell_layers, with_obstacles
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.scene import Scene

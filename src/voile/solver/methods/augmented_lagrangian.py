@@ -8,8 +8,8 @@ from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
 from voile.problem.imperfection import perturb
+from voile.problem.problem import Problem
 from voile.solver.cascade import attempt
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome

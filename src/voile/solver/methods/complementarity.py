@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from voile.contact.contact import Contact
 from voile.errors import InputError
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.linear import set_defaults, use_lu
 from voile.solver.methods.method import Outcome, Workspace
 from voile.solver.methods.semismooth import Semismooth

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace

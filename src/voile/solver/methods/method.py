@@ -5,7 +5,7 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.state import State
 from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, use_cholesky, use_lu

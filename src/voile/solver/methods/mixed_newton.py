@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
 from voile.solver.methods.steps import Stall, Step, descent_direction, factor, limit, test
 

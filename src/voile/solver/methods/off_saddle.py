@@ -2,7 +2,7 @@
 
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.solver.cascade import attempt
 from voile.solver.methods.method import Method, Outcome, Workspace

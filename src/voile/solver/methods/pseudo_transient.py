@@ -12,9 +12,9 @@ from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
-from voile.problem.discrete import Problem
 from voile.problem.imperfection import perturb
 from voile.problem.inertia import Inertia
+from voile.problem.problem import Problem
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
 from voile.solver.cascade import attempt

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from voile.contact.contact import Linearised
 from voile.errors import InputError
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from petsc4py import PETSc
 
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import NOT_FINITE, Nonlinear, Outcome, Workspace

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.tied import TiedContact
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome

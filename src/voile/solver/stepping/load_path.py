@@ -12,7 +12,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_of, contact_report, leads_through
-from voile.problem.discrete import Problem
+from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
