@@ -20,6 +20,14 @@ class NotConverged(RuntimeError):
     exit_code = 3
 
 
+class Hinged(NotConverged):
+    """Parts (joints, all vertices) of a target that turn freely about the one or two vertices that they hang by."""
+
+    def __init__(self, message: str, parts: list):
+        super().__init__(message)
+        self.parts = parts
+
+
 def on_root(comm: "MPI.Comm", action: Callable[[], Any]) -> Any:
     """What an action gives on rank 0, None elsewhere; its error on all ranks, so that none waits for another."""
     outcome = failure = None

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from inverse_shells import folded_skirt, grid
-from test_direct import tube
+from test_direct import sheet_with_flap, tube
 from test_panels import cone_skirt
 
 from voile.cli import main
@@ -199,6 +199,27 @@ def test_estimating_with_an_unknown_rest_shape_is_refused(on_a_rod):
     scene(on_a_rod, "[[fix]]\nselect = { all = true }", inverse='estimate = ["young"]')
     code, said = run(on_a_rod)
     assert code == 2 and "needs shell.rest" in said
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_flaps_that_turn_freely_are_left_out_and_told_of(tmp_path, mpirun, ranks):
+    points, triangles, fixed, _ = sheet_with_flap(2)
+    write_obj(tmp_path / "target.obj", points, triangles)
+    held = f"[[fix]]\nselect = {{ nodes = {np.flatnonzero(fixed[:, 0]).tolist()} }}"
+    scene(tmp_path, held, bending="average", young=1e10)
+    if ranks == 1:
+        code, said = run(tmp_path)
+        assert code == 0, said
+    else:
+        at = [*command()[:4], str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")]
+        done = mpirun(ranks, at, 100)
+        assert done.returncode == 0, done.stdout + done.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["converged"] and any("hang by one or two vertices" in note for note in summary["notes"])
+    n = len(points) - 2
+    with read_result(tmp_path / "out") as result:
+        np.testing.assert_allclose(result.rest[n:], points[n:], atol=1e-6)
+        assert np.isfinite(result.rest).all()
 
 
 def test_soft_cloth_is_told_unstable_and_its_last_stable_rest_shape_is_kept(tmp_path):

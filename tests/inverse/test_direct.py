@@ -15,6 +15,8 @@ from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
+from voile.problem.shell import triangle_areas
+from voile.problem.supports import hinged_parts, without_flaps
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
 
@@ -182,9 +184,9 @@ def test_tube_on_a_rod_needs_friction_and_is_held_by_it():
     assert step["friction_error"] < 1e-8 and step["slip"] == 0
 
 
-@pytest.mark.parametrize("joints", [1, 2])
-def test_a_part_that_hangs_by_a_vertex_or_two_is_refused(joints):
-    """It turns freely about them; supported it is part of the shell."""
+def sheet_with_flap(joints):
+    """Points, triangles and supports of a sheet with a triangle or two that hang by a corner, or it and another vertex,
+    and these joints."""
     shape = hanging_sheet()
     n = len(shape.points)
     corner = int(np.argmax(shape.points[:, 0] + shape.points[:, 1]))
@@ -195,11 +197,39 @@ def test_a_part_that_hangs_by_a_vertex_or_two_is_refused(joints):
     strip = [[corner, n, n + 1], [corner, n + 1, other]][:joints]
     triangles = np.concatenate([shape.triangles, strip]).astype(np.int32)
     fixed = np.concatenate([shape.fixed, np.zeros((2, 3), dtype=bool)])
-    by = [corner] if joints == 1 else [other, corner]
+    return points, triangles, fixed, [corner] if joints == 1 else [other, corner]
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_a_part_that_hangs_by_a_vertex_or_two_is_refused(joints):
+    """It turns freely about them; supported it is part of the shell."""
+    points, triangles, fixed, by = sheet_with_flap(joints)
+    n = len(points) - 2
     with pytest.raises(NotConverged, match=f"hangs by vertex {' and '.join(map(str, by))} alone"):
         solve(shell(points, triangles, fixed, young=1e7))
     fixed[n:] = True
     assert solve(shell(points, triangles, fixed, young=1e7)).converged
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_what_has_no_balance_of_its_own_leaves_the_rest_its_own(joints):
+    """Without flaps the sheet bears their weight at the joints, as the sheet alone would."""
+    points, triangles, fixed, by = sheet_with_flap(joints)
+    whole = shell(points, triangles, fixed, young=1e10)
+    cut = without_flaps(whole, hinged_parts(whole))
+    force = cut.force[:, 2]
+    mass = whole.density * whole.thickness * triangle_areas(points, triangles)
+    assert force.sum() == pytest.approx(-9.81 * mass[-joints:].sum())
+    assert sorted(np.flatnonzero(force)) == sorted(by)
+    result = solve(cut)
+    assert result.converged, result.reason
+    n = len(points) - 2
+    alone = solve(shell(points[:n], triangles[:-joints], fixed[:n], young=1e10, force=cut.force[:n]))
+    rests = [each.target.problem.motion(each.rest) for each in (result, alone)]
+    order = [each.target.problem.part.vertex for each in (result, alone)]
+    both = [rest[np.argsort(vertex)] for rest, vertex in zip(rests, order, strict=True)]
+    np.testing.assert_allclose(both[0][:n], both[1], atol=1e-9)
+    np.testing.assert_array_equal(both[0][n:], 0.0)
 
 
 def test_tube_on_a_smooth_rod_is_refused():

@@ -12,7 +12,7 @@ from voile.contact.candidates import Layers
 from voile.contact.contact import Contact
 from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import FREE, PENALTY, STICK, dot, margin, outer, within
-from voile.errors import NotConverged
+from voile.errors import Hinged, NotConverged
 from voile.inverse.bounds import Bounds
 from voile.inverse.contact_pairs import ContactPairs, clearances, find_contact_pairs
 from voile.inverse.reactions import Balance, Cones, least_friction
@@ -169,17 +169,19 @@ class Target:
             self._used = cones.scaled(cones.friction - reserve)
 
     def _check_hinges(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Raises NotConverged for a part that hangs by one or two vertices and touches nothing."""
+        """Raises Hinged for parts that hang by one or two vertices and touch nothing."""
         problem = self.problem
         touching = problem.part.vertex[self.touching()]
-        for joints, vertices in parts:
-            if problem.everywhere(not np.isin(vertices, touching).any()):
-                hinge = " and ".join(map(str, joints))
-                raise NotConverged(
-                    f"the part of the target with vertex {min(vertices)} ({len(vertices)} vertices) hangs by vertex "
-                    f"{hinge} alone and turns freely: no rest shape holds it as it is; join it along an edge, support "
-                    "it, or leave it out"
-                )
+        hanging = [part for part in parts if problem.everywhere(not np.isin(part[1], touching).any())]
+        if hanging:
+            joints, vertices = hanging[0]
+            hinge = " and ".join(map(str, joints))
+            raise Hinged(
+                f"the part of the target with vertex {min(vertices)} ({len(vertices)} vertices) hangs by vertex "
+                f"{hinge} alone and turns freely: no rest shape holds it as it is; join it along an edge, support "
+                "it, or leave it out",
+                hanging,
+            )
 
     def _no_reactions(self, balance: Balance) -> str:
         count = self.problem.comm.allreduce(int(balance.own.sum()))

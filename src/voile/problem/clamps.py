@@ -27,7 +27,8 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
         return np.zeros((0, 6)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
-    half = np.flatnonzero(clamped[topology.triangle_edges.ravel()])
+    stiff = np.repeat(shell.young > 0.0, 3)  # what has no stiffness holds nothing
+    half = np.flatnonzero(clamped[topology.triangle_edges.ravel()] & stiff)
     normal = _unit(area_vectors(shell.points, shell.triangles))
     triangle, corner = half // 3, half % 3
     start = shell.triangles[triangle, (corner + 1) % 3]

@@ -1,11 +1,13 @@
 """Rigid motions that the supports leave: what would make the equilibrium undetermined, said before solving."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile.errors import InputError
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, triangle_areas
 
 AXES = "xyz"
 
@@ -64,6 +66,31 @@ def hinged_parts(shell: Shell) -> list[tuple[np.ndarray, np.ndarray]]:
         if 1 <= len(at) <= 2 and not shell.fixed[vertices].any():
             found.append((at, vertices))
     return found
+
+
+def without_flaps(shell: Shell, parts: list[tuple[np.ndarray, np.ndarray]]) -> Shell:
+    """The shell with hinged parts out of its balance: they have no stiffness, and their joints carry their weight in
+    equal shares. What belongs to nothing else is held where it is."""
+    t = shell.triangles
+    flap, force = np.zeros(len(t), dtype=bool), np.zeros(shell.points.shape)
+    area = triangle_areas(shell.rest_points, shell.rest_triangles)
+    for joints, vertices in parts:
+        own = np.isin(t, vertices).all(axis=1)
+        flap |= own
+        mass = float((shell.density * shell.thickness * area)[own].sum())
+        force[joints] += mass * np.asarray(shell.gravity) / len(joints)
+    kept = np.concatenate([t[~flap].ravel(), shell.slave, shell.first, shell.second])
+    idle = np.setdiff1d(t[flap], kept)
+    fixed = shell.fixed.copy()
+    fixed[idle] = True
+    return replace(
+        shell,
+        young=np.where(flap, 0.0, shell.young),
+        density=np.where(flap, 0.0, shell.density),
+        fixed=fixed,
+        clamped_edges=np.union1d(shell.clamped_edges, shell.topology.triangle_edges[flap]).astype(np.int32),
+        force=force if shell.force is None else shell.force + force,
+    )
 
 
 def _pieces(shell: Shell) -> np.ndarray:

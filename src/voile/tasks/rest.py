@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from voile.errors import on_root
+from voile.errors import Hinged, on_root
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.pattern import write_rest_obj
 from voile.inverse.result import InverseResult
@@ -14,6 +14,7 @@ from voile.mesh import METRES, write_obj
 from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
 from voile.problem.shell import Shell
+from voile.problem.supports import without_flaps
 from voile.tasks.patterns import (
     cut_apart,
     draw,
@@ -29,8 +30,23 @@ Found = tuple[InverseResult, FlatPanels | None, dict | None]
 
 
 def find_surface(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
-    """The result, None, and the pattern's figures of a rest surface, whose files are written before its proof: a long
-    simulation may be stopped."""
+    """The result, None, and the pattern's figures of a rest surface. Flaps that turn freely about a vertex or two are
+    left out of the balance."""
+    try:
+        return _find(job, shell, options)
+    except Hinged as flaps:
+        if options.developable:
+            raise
+        job.note(
+            f"{len(flaps.parts)} parts of the target hang by one or two vertices and turn freely, the first with "
+            f"vertex {min(flaps.parts[0][1])}: they are left out of the balance, their weight hangs on those vertices, "
+            "and their rest shape is the target's"
+        )
+        return _find(job, shell and without_flaps(shell, flaps.parts), options)
+
+
+def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
+    """`find_surface`, whose files are written before its proof: a long simulation may be stopped."""
     problem, figures = job.problem(shell), None
 
     def write(z) -> None:
