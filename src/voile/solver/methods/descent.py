@@ -2,7 +2,9 @@
 
 The matrix is the exact Hessian where the inertia of its factorisation says that it is positive definite, else the
 kernels' positive semidefinite one; where steps stay short, a multiple of the mass is added (one step of
-pseudo-transient continuation), which fades as the steps recover. The line search demands sufficient decrease of the
+pseudo-transient continuation), which fades as the steps recover. Where whole steps with the safe matrix creep off a
+saddle, the exact Hessian with the least such multiple that makes it positive definite replaces it: its directions
+grow along negative curvature (Nocedal & Wright 2006, 3.4). The line search demands sufficient decrease of the
 potential; where round-off hides the decrease, or the loads have no potential, it looks at the slope instead (Hager &
 Zhang 2005, approximate Wolfe conditions). SNES prefix descent_, in pseudo-time
 transient_.
@@ -30,7 +32,10 @@ class Options:
     which on a longer one is tried (their curvature condition). shortest: relative step length at which the search gives
     up. patience: steps after which an indefinite exact Hessian is tried again at most; near the end it is what
     converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
-    watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds."""
+    watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds. creeping: whole steps, some of
+    them lengthened, that leave more than `little` of the residual creep: a taut sheet about to wrinkle took over 7000
+    factorisations, now 300; drapes seldom do. highest: least shift over the slow rate that is still tried; beyond it
+    the safe matrix is as good. tries: factorisations a step spends on it."""
 
     iterations: int = 500
     sufficient: float = 1e-4
@@ -40,6 +45,10 @@ class Options:
     noise: float = 1e-11
     mixed_steps: int = 5
     shift: float = 0.0
+    creeping: int = 4
+    little: float = 0.3
+    highest: float = 1e4
+    tries: int = 2
 
 
 class Descent:
@@ -84,13 +93,15 @@ class Iterate:
             0  # steps until the exact Hessian is tried again; until then when it fails
         )
         self._rest = self._pause = 0  # steps until, and between, watchdogs
+        self._least = 0.0  # 1/s^2 of mass that last made the exact Hessian positive definite
+        self._grows = False  # whether it gave the last direction
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
         problem = self.problem = self.method.nonlinear.problem
         residual, direction, stall = snes.getFunction()[0], y.duplicate(), Stall()
         trial, trial_residual = y.duplicate(), y.duplicate()
-        self.steps, self.shift, self._wait, self._patience = [], 0.0, 0, 1
+        self.steps, self.shift, self._wait, self._patience, self._grows = [], 0.0, 0, 1, False
         snes.computeFunction(y, residual)
         energy, norm = self._energy(y), residual.norm()
         reason = test(snes, 0, y, direction, norm)
@@ -166,10 +177,43 @@ class Iterate:
                 self._patience = 1
                 return True, slope
             self._wait = self._patience = min(2 * self._patience, self.options.patience)
+        self._grows, slope = self._creeps(), None
+        if self._grows:
+            slope = self._off_saddle(y, residual, direction)
+        if slope is not None:
+            return True, slope
+        self._grows = False
         while True:
             slope = self._slope(self._factor(y, "safe"), residual, direction)
             if slope is not None or not self._regularise():
                 return False, slope
+
+    def _creeps(self) -> bool:
+        """Whether the last steps were whole, lengthened even, and hardly lowered the residual."""
+        last = self.steps[-self.options.creeping :]
+        if self._grows and last[-1].length >= 0.5:
+            return True
+        return (
+            len(last) == self.options.creeping
+            and all(step.length >= 1.0 for step in last)
+            and any(step.length > 1.0 for step in last[1:])
+            and last[-1].residual > self.options.little * last[0].residual
+        )
+
+    def _off_saddle(self, y, residual, direction) -> float | None:
+        """A direction of the exact Hessian with the least shift found; the slope along it, None without one."""
+        first = slow_rate(self.problem)
+        self._least = max(self._least, first)
+        for attempt in range(self.options.tries):
+            if self._least > self.options.highest * first:
+                return None
+            linear = factor(self.work, self.problem, y, "exact", self._shift() + self._least)
+            slope = self._slope(linear, residual, direction)
+            if slope is not None:
+                self._least *= 0.3 if attempt == 0 else 1.0
+                return slope
+            self._least *= 10.0
+        return None
 
     def _slope(self, linear: LinearSolver, residual, direction) -> float | None:
         """That of the potential along the direction (J); None where the matrix gives no descent direction."""

@@ -8,6 +8,7 @@ semismooth method finishes without it. A shell that nothing holds slides on and 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
@@ -32,8 +33,8 @@ class Options:
 
     steps at most. first_rate: a step of 0.3 sqrt(size/g), the longest that descents finish in some 40
     iterations on sheets over a ball (0.5 takes twice as many in all). fresh_rate: while no contact bears yet there is
-    no friction either; such a step must move less than `fresh` sizes, which it does at this rate, and twice
-    what supports move. last_rate: hopeless.
+    no friction either; such a step must move less than `fresh` sizes, which it does at this rate, twice what
+    supports move and half of the least gap. last_rate: hopeless.
     fade: of the rate after a fair step, its square after an easy one, of at most so many iterations; raise_: after one
     that failed. iterations of a descent; rough: its tolerance over the loads or the norm that it starts with; drapes
     take half as many iterations as with 0.1. sharpest: over the loads, no step needs less, and differences of the
@@ -85,7 +86,7 @@ class PseudoTransient:
     def _follow(self, problem: Problem, y: PETSc.Vec, tolerance: float, saddle: State | None) -> Outcome:
         options, slow, contact = self.options, slow_rate(problem), contact_of(problem)
         loads, start = max(problem.load_norm(y), tolerance / 1e-8), problem.save(y)
-        rate, kicks, peak = options.first_rate * slow, 0, np.inf
+        rate, kicks, peak, driven = options.first_rate * slow, 0, np.inf, _driven(problem)
         if self._fresh(problem):
             rate = options.fresh_rate * slow
         slips = not contact.moves  # what sticks has gone along with moving obstacles
@@ -102,7 +103,8 @@ class PseudoTransient:
                 contact.begin(problem.positions(y), problem.time)
             inertial = Inertia(problem.vertex_mass(), problem.own, rate, problem.positions(y))
             step = problem.with_terms(AugmentedContact(contact), inertial)
-            done = self._step(step, y, tolerance, loads)
+            room = self._room(step, y, driven)
+            done = self._step(step, y, tolerance, loads, room)
             if done is None or not self._admissible(problem, before, y):
                 problem.restore(y, before)
                 rate *= 1.0 if self._sharpened(problem, y, tolerance) else options.raise_
@@ -121,7 +123,7 @@ class PseudoTransient:
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
             if not self._fresh(problem):
                 rate = self._next(rate, slow)
-            elif problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * options.fresh:
+            elif problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * room:
                 rate *= options.fade  # it falls on, or hangs freely
             if inertia > min(options.near * loads, 0.3 * peak):
                 continue
@@ -154,12 +156,21 @@ class PseudoTransient:
         """Whether the step from a state to y may be taken."""
         return True
 
-    def _step(self, problem: Problem, y: PETSc.Vec, tolerance: float, loads: float) -> bool | None:
+    def _room(self, problem: Problem, y: PETSc.Vec, driven: float) -> float:
+        """Sizes by which a step without friction may move from y; driven: by which supports have moved."""
+        contact, x = contact_of(problem), problem.positions(y)
+        gaps = [contact.gap(k, x, problem.time)[problem.own] for k in range(len(contact.obstacles))]
+        least = min((float(gap.min(initial=np.inf)) for gap in gaps), default=0.0)
+        least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0) if not contact.itself else 0.0
+        return self.options.fresh + 2.0 * driven + 0.5 * least / problem.size()
+
+    def _step(
+        self, problem: Problem, y: PETSc.Vec, tolerance: float, loads: float, room: float
+    ) -> bool | None:
         """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
-        many iterations); None where it failed."""
+        many iterations); None where it failed. room: see `_room`."""
         options, contact, home = self.options, contact_of(problem), y.copy()
         fresh = self._fresh(problem)
-        driven = _driven(problem)
         contact.freeze(problem.positions(y), problem.time)
         f = y.duplicate()
         problem.residual(y, f)
@@ -167,7 +178,7 @@ class PseudoTransient:
             perturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         done = self.descent.run(problem, y, rough, options.iterations)
-        if fresh and problem.largest_motion(difference(y, home)) > options.fresh + 2.0 * driven:
+        if fresh and problem.largest_motion(difference(y, home)) > room:
             return None
         if done:
             contact.adopt(problem.positions(y), problem.time)
