@@ -80,6 +80,13 @@ class Shell:
         default=False,
     )
     seams: bool = key(Boolean(), "sew the mesh's stitch records", default=True)
+    velocity: Vector3 = key(vector("m/s"), "dynamics: velocity at the start", default=(0.0, 0.0, 0.0))
+    angular_velocity: Vector3 = key(
+        vector("rad/s"), "dynamics: rotation at the start, about angular_center", default=(0.0, 0.0, 0.0)
+    )
+    angular_center: Vector3 = key(
+        vector("m"), "point about which the shell rotates at the start", default=(0.0, 0.0, 0.0)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,233 @@
+"""Paths in time: predict, solve the step, update; a step that fails is cut.
+
+Each step is the problem at its end with an Inertia term. `Problem.contact` remembers where it began, so that friction's
+slip is that of the step, relative to the obstacle.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_report
+from voile.problem.inertia import Inertia
+from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
+from voile.problem.scales import force_floor
+from voile.solver.linear import Counts
+from voile.solver.methods.method import Outcome
+from voile.solver.methods.semismooth import law_norms
+from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, Prediction, Scheme
+
+
+@dataclass
+class Options:
+    """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
+    last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
+    that order, and second order needs no better. close: of a step, that the end may be beyond it."""
+
+    cut: float = 0.25
+    smallest: float = 1e-8
+    longer: float = 2.0
+    trial: float = 0.01
+    close: float = 1e-6
+
+
+@dataclass
+class TimeOptions:
+    """scheme; time_step and duration (s); tolerance: of each step's residual over the loads."""
+
+    scheme: Scheme
+    time_step: float
+    duration: float
+    tolerance: float = 1e-6
+
+
+class StepSolver(Protocol):
+    """Solves steps: a method whose problem has an Inertia term and, with contact, the step's start in the contact's
+    history. y starts at a guess and ends at the step's end."""
+
+    @property
+    def counts(self) -> Counts:
+        """Of its linear algebra."""
+        ...
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """tolerance: of the residual's norm (N)."""
+        ...
+
+
+@dataclass
+class TimeStep:
+    """One step: its end `time` and length (s), iterations, the residual's norm and its tolerance (N), potential
+    energies (J), contact's figures, method, and the largest speed (m/s) of a vertex at its end."""
+
+    time: float
+    length: float
+    iterations: int
+    residual: float
+    tolerance: float
+    energies: dict[str, float]
+    contact: dict | None
+    method: str
+    speed: float
+
+
+@dataclass
+class TimePath:
+    """The outcome: `state` (unknowns) and kinematics of the last good step, also when `converged` is False."""
+
+    state: PETSc.Vec
+    kinematics: Kinematics
+    time: float = 0.0
+    converged: bool = False
+    reason: str = ""
+    last: TimeStep | None = None
+    methods: list[str] = field(default_factory=list)
+    counts: Counts = field(default_factory=Counts)
+    attempts: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Steps done."""
+        return len(self.methods)
+
+    @property
+    def newton_iterations(self) -> int:
+        """Those of all methods, failed attempts included."""
+        return self.counts.iterations
+
+
+OnStep = Callable[[TimeStep, TimePath], None]
+
+
+def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Kinematics:
+    """At the unknowns y with velocities (local vertices, 3) m/s of what may move; the first acceleration is not
+    known."""
+    x, none = problem.positions(y), np.zeros_like(velocity)
+    moving = problem.motion(field_vector(problem, velocity))
+    return Kinematics(x, moving, none, none, none)
+
+
+class Stepper:
+    """Follows a problem in time with a step solver; `path` is told of everything."""
+
+    def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
+        self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
+        self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
+        self.length = options.time_step
+        path.counts = solver.counts
+        self.force = self._scale()
+
+    def follow(self, on_step: OnStep | None = None) -> None:
+        """To the duration; calls on_step after each step."""
+        asked, path = self.asked, self.path
+        if asked.scheme.memory and path.time == 0.0:
+            self._begin()
+        while path.time < asked.duration:
+            h, end = self.length, path.time + self.length
+            if asked.duration - path.time < (1.0 + self.options.close) * h:
+                h, end = asked.duration - path.time, asked.duration
+            path.attempts += 1
+            done, outcome = self._step(asked.scheme, h, end)
+            if done is None:
+                self.length = self.options.cut * h
+                if self.length < self.options.smallest * asked.time_step:
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s"
+                    return
+                continue
+            self.length = min(asked.time_step, max(self.length, self.options.longer * h))
+            path.last, path.time = done, done.time
+            path.methods.append(done.method)
+            self.y.copy(path.state)
+            path.kinematics = self.k
+            if on_step:
+                on_step(done, path)
+        path.converged, path.reason = True, "end of the simulated time"
+
+    def _begin(self) -> None:
+        """The acceleration at the start, of a short trial step, from which director angles are kept."""
+        start, k = self.problem.save(self.y), self.k
+        trial = self.options.trial * self.asked.time_step
+        done, _ = self._step(ImplicitEuler(), trial, trial)
+        if done is not None:
+            a = self.k.acceleration
+            k = replace(k, acceleration=a, driven=self.k.driven, filtered=a)
+        self.problem = self.problem.at(0.0)
+        self.problem.restore(self.y, start)
+        self.k = k
+
+    def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome]:
+        """One step over h (s) to the time `end`; nothing has changed where it fails."""
+        y, k, path = self.y, self.k, self.path
+        start, problem = self.problem.save(y), self.problem.at(end)
+        if problem.contact:
+            problem.contact.begin(k.positions, start.time)
+        prediction = scheme.predict(k, h)
+        inertia = Inertia(problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted)
+        step = problem.with_terms(inertia)
+        self._guess(step, k, prediction)
+        before, wanted = self.solver.counts.iterations, self.asked.tolerance * self.force
+        outcome = self.solver.solve(step, y, wanted)
+        path.seconds |= {"linear_solve": self.solver.counts.seconds}
+        if problem.contact:
+            path.seconds |= {"contact": problem.contact.seconds}
+        if not outcome.converged:
+            problem.restore(y, start)
+            return None, outcome
+        x = problem.positions(y)
+        push = _push(problem, x)
+        self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
+        done = TimeStep(
+            problem.time,
+            h,
+            self.solver.counts.iterations - before,
+            _residual(step, y, wanted),
+            wanted,
+            problem.energies(y),
+            contact_report(problem, y) if problem.contact else None,
+            outcome.method,
+            problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
+        )
+        return done, outcome
+
+    def _guess(self, problem: Problem, k: Kinematics, prediction: Prediction) -> None:
+        """Goes as the last acceleration leads, as far as terms admit."""
+        goal = prediction.predicted + k.acceleration / prediction.coefficient
+        way = field_vector(problem, goal - k.positions)
+        self.y.axpy(problem.longest_step(self.y, way), way)
+
+    def _scale(self) -> float:
+        """What the tolerance is relative to (N): the loads' norm; without any that of the forces at the start or of
+        those that bend the way of what moves within the shell's size."""
+        problem, y = self.problem, self.y
+        loads = problem.load_norm(y)
+        if loads > 0.0:
+            return loads
+        f = problem.create_vector()
+        problem.residual(y, f)
+        momentum = problem.vertex_mass()[:, None] * self.k.velocity
+        speed = problem.in_sizes(self.k.velocity)
+        turning = speed * problem.norm(momentum[problem.own].ravel())
+        return max(f.norm(), turning, force_floor(problem))
+
+
+def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """(local vertices, 3) m/s^2: contact's reactions over the masses."""
+    if not problem.contact:
+        return np.zeros_like(x)
+    mass = problem.vertex_mass()[:, None]
+    force = problem.contact.force(x, problem.time, frozen=False)
+    return np.divide(force, mass, out=np.zeros_like(force), where=mass > 0.0)
+
+
+def _residual(problem: Problem, y: PETSc.Vec, tolerance: float) -> float:
+    """Norm (N) of a step's residual, with contact also of what the laws miss."""
+    f = problem.create_vector()
+    if problem.contact:
+        return float(np.hypot(*law_norms(problem, y, f, tolerance)))
+    problem.residual(y, f)
+    return float(f.norm())

@@ -1,0 +1,74 @@
+"""What a task in time writes: steps with velocities, and its figures."""
+
+import math
+import time
+
+import numpy as np
+
+from voile.problem.problem import Problem
+from voile.results import ResultWriter
+from voile.solver.stepping.schemes import Kinematics
+from voile.solver.stepping.time_path import TimePath, TimeStep
+from voile.tasks.run import Run, rows
+
+
+def initial_velocity(job: Run, x: np.ndarray) -> np.ndarray:
+    """(n, 3) m/s of points x (n, 3) m that move as the scene's shell does at the start."""
+    shell = job.scene.shell
+    about = x - np.array(shell.angular_center)
+    return np.array(shell.velocity) + np.cross(np.array(shell.angular_velocity), about)
+
+
+class TimeSteps:
+    """Takes the steps of a path as they come: tells the progress and writes the start, every so many, and the last."""
+
+    def __init__(self, job: Run, problem: Problem, writer: ResultWriter, duration: float):
+        self.job, self.problem, self.writer, self.duration = job, problem, writer, duration
+        self.written = -1.0
+
+    def __call__(self, step: TimeStep, path: TimePath) -> None:
+        self.job.progress.time_step(step, self.duration)
+        if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
+            self.write(step.time, step.residual, path)
+
+    def finish(self, path: TimePath) -> None:
+        """Writes the last good step where it is not."""
+        if self.written < path.time:
+            self.write(path.time, path.last.residual if path.last else math.nan, path)
+
+    def write(self, at: float, residual: float, path: TimePath) -> None:
+        """A step of the result file."""
+        start, problem = time.perf_counter(), self.problem.at(at)
+        values, own = rows(problem, path.state), problem.part.owned_vertices
+        values["point_data"] = {**values.get("point_data", {}), "velocity": path.kinematics.velocity[own]}
+        self.writer.write_step(at, scalars={"residual": residual, "converged": 1.0}, **values)
+        self.written = at
+        self.job.writing += time.perf_counter() - start
+
+
+def kinetic_energy(problem: Problem, k: Kinematics) -> float:
+    """J."""
+    own = problem.own
+    square = (k.velocity[own] ** 2).sum(axis=1)
+    return 0.5 * problem.comm.allreduce(float(problem.vertex_mass()[own] @ square))
+
+
+def momenta(problem: Problem, k: Kinematics) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum (3,) kg m/s and angular momentum about the origin (3,) kg m^2/s."""
+    own = problem.own
+    p = problem.vertex_mass()[own, None] * k.velocity[own]
+    both = np.concatenate([p.sum(axis=0), np.cross(k.positions[own], p).sum(axis=0)])
+    both = problem.comm.allreduce(both)
+    return both[:3], both[3:]
+
+
+def figures(problem: Problem, path: TimePath) -> dict:
+    """The summary's `dynamics`."""
+    momentum, angular = momenta(problem, path.kinematics)
+    energies = path.last.energies if path.last else problem.energies(path.state)
+    return {
+        "time": path.time,
+        "energy": {"kinetic": kinetic_energy(problem, path.kinematics), **energies},
+        "momentum": momentum,
+        "angular_momentum": angular,
+    }
