@@ -262,9 +262,8 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
     for k, spec in enumerate(scene.obstacle):
         motion = Motion() if spec.move is None else _motion(scene, spec.move)
         body = SHAPES[spec.shape]
-        found.append(
-            body.build(spec.geometry(), name=f"{spec.shape} {k}", friction=spec.friction, motion=motion)
-        )
+        laws = {"friction": spec.friction, "restitution": spec.restitution}
+        found.append(body.build(spec.geometry(), name=f"{spec.shape} {k}", motion=motion, **laws))
     return found
 
 

@@ -31,6 +31,9 @@ class Body:
 
     shape: str = key(Choice(*SHAPES), "shape; the keys of its geometry are required: see the other keys")
     friction: float = key(Number(least=0), "Coulomb's coefficient of friction", default=0.0)
+    restitution: float = key(
+        Number(least=0, most=1), "moreau-jean: speed after an impact over that before", default=0.0
+    )
     move: BodyMove | None = key(Table(BodyMove), "prescribed rigid motion", default=None)
 
     SCHEMA: ClassVar[dict[str, Any]] = {

@@ -201,6 +201,12 @@ class Scene:
                             "the target is where all motion has ended; allowed with task = inverse: no move",
                             (table, index, "move"),
                         )
+        rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
+        if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
+            raise Rejected(
+                'allowed above 0 with task = dynamics and dynamics.scheme = "moreau-jean" only',
+                ("obstacle", rebounds[0], "restitution"),
+            )
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:

@@ -1,7 +1,8 @@
 """Time schemes: what each makes of a step, as an inertia term and an update.
 
 A step from t_n over h solves coefficient M (x - predicted) = F(x) + r for the positions x at its end, r the contacts'
-reactions; then v = rate (x - still) and a = coefficient (x - predicted).
+reactions; then v = rate (x - still) and a = coefficient (x - predicted). Where a contact bears, velocities jump: there
+every scheme is implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
 """
 
 from collections.abc import Callable
@@ -34,12 +35,23 @@ class Before:
 
 @dataclass(frozen=True)
 class Prediction:
-    """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity."""
+    """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity.
+    Coefficient and rate: one, or (n, 1)."""
 
-    coefficient: float
+    coefficient: float | np.ndarray
     predicted: np.ndarray
-    rate: float
+    rate: float | np.ndarray
     still: np.ndarray
+
+    def where(self, chosen: np.ndarray, other: "Prediction") -> "Prediction":
+        """The other one at the chosen (n,) vertices."""
+        rows = chosen[:, None]
+        return Prediction(
+            np.where(rows, other.coefficient, self.coefficient),
+            np.where(rows, other.predicted, self.predicted),
+            np.where(rows, other.rate, self.rate),
+            np.where(rows, other.still, self.still),
+        )
 
     def velocity(self, x: np.ndarray) -> np.ndarray:
         """(n, 3) m/s at the step's end, if that is at x."""
@@ -52,11 +64,6 @@ class Prediction:
 
 class Scheme:
     """What a scheme makes of the step over h (s) from k."""
-
-    @property
-    def end(self) -> float:
-        """Share of the step's reaction in its impulse over h."""
-        return 1.0
 
     @property
     def memory(self) -> bool:
@@ -137,10 +144,6 @@ class MoreauJean(Scheme):
     (Moreau 1988; Jean 1999). First order, second for theta = 1/2 without contact."""
 
     theta: float
-
-    @property
-    def end(self) -> float:
-        return self.theta
 
     @property
     def memory(self) -> bool:

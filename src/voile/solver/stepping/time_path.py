@@ -15,24 +15,26 @@ from voile.problem.contact import contact_report
 from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.scales import force_floor
+from voile.problem.scales import force_floor, slow_rate
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
-from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, Prediction, Scheme
+from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
 
 @dataclass
 class Options:
     """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
-    that order, and second order needs no better. close: of a step, that the end may be beyond it."""
+    that order, and second order needs no better. rest: of the way that the loads lead in a step from rest; an approach
+    within it is no impact. close: of a step, that the end may be beyond it."""
 
     cut: float = 0.25
     smallest: float = 1e-8
     longer: float = 2.0
     trial: float = 0.01
     close: float = 1e-6
+    rest: float = 2.0
 
 
 @dataclass
@@ -120,7 +122,9 @@ class Stepper:
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
         self.length = options.time_step
         path.counts = solver.counts
-        self.force = self._scale()
+        self.force, self.mass = self._scale(), _mean_mass(problem)
+        self.fall = slow_rate(problem) * problem.size()  # m/s^2
+        self.pushed = np.zeros(len(self.k.positions), dtype=bool)
 
     def follow(self, on_step: OnStep | None = None) -> None:
         """To the duration; calls on_step after each step."""
@@ -164,22 +168,31 @@ class Stepper:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
         y, k, path = self.y, self.k, self.path
         start, problem = self.problem.save(y), self.problem.at(end)
-        if problem.contact:
-            problem.contact.begin(k.positions, start.time)
-        prediction = scheme.predict(k, h)
-        inertia = Inertia(problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted)
-        step = problem.with_terms(inertia)
-        self._guess(step, k, prediction)
         before, wanted = self.solver.counts.iterations, self.asked.tolerance * self.force
-        outcome = self.solver.solve(step, y, wanted)
+        self._begin_contact(problem, scheme, start.time, h)
+        prediction = self._guess(problem, scheme.predict(k, h))
+        bearing = self._bearing(problem, np.zeros(len(k.positions), dtype=bool))
+        while True:
+            prediction = prediction.where(bearing, ImplicitEuler().predict(k, h))
+            coefficient = prediction.coefficient
+            inertia = Inertia(problem.vertex_mass(), problem.own, coefficient, prediction.predicted)
+            if problem.contact:
+                problem.contact.inertia = float(np.max(coefficient)) * self.mass
+            step = problem.with_terms(inertia)
+            outcome = self.solver.solve(step, y, wanted)
+            if not outcome.converged:
+                problem.restore(y, start)
+                return None, outcome
+            now = self._bearing(problem, bearing)
+            if problem.everywhere(np.array_equal(now, bearing)):
+                break
+            bearing = now
         path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             path.seconds |= {"contact": problem.contact.seconds}
-        if not outcome.converged:
-            problem.restore(y, start)
-            return None, outcome
         x = problem.positions(y)
         push = _push(problem, x)
+        self.pushed = push.any(axis=1)
         self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
         done = TimeStep(
             problem.time,
@@ -194,11 +207,34 @@ class Stepper:
         )
         return done, outcome
 
-    def _guess(self, problem: Problem, k: Kinematics, prediction: Prediction) -> None:
+    def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
+        """Slip counts from here, impacts rebound."""
+        if problem.contact:
+            k = self.k
+            problem.contact.begin(k.positions, begin)
+            if isinstance(scheme, MoreauJean):
+                rest = self.options.rest * h**2 * self.fall
+                problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
+
+    def _bearing(self, problem: Problem, known: np.ndarray) -> np.ndarray:
+        """(local vertices,) those that are known to bear on something in this step, or do now, or did in the last one,
+        with all that is sewn to them. Nothing of it matters to implicit Euler."""
+        if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
+            return known
+        force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
+        bears = known | force.any(axis=1) | self.pushed
+        unknowns = problem.create_vector()
+        dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
+        unknowns.array[:] = problem.layout.collect(dofs) > 0.0
+        return bears | problem.motion(unknowns).any(axis=1)
+
+    def _guess(self, problem: Problem, prediction: Prediction) -> Prediction:
         """Goes as the last acceleration leads, as far as terms admit."""
+        k = self.k
         goal = prediction.predicted + k.acceleration / prediction.coefficient
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
+        return prediction
 
     def _scale(self) -> float:
         """What the tolerance is relative to (N): the loads' norm; without any that of the forces at the start or of
@@ -213,6 +249,13 @@ class Stepper:
         speed = problem.in_sizes(self.k.velocity)
         turning = speed * problem.norm(momentum[problem.own].ravel())
         return max(f.norm(), turning, force_floor(problem))
+
+
+def _mean_mass(problem: Problem) -> float:
+    """Of a vertex (kg)."""
+    mass = problem.vertex_mass()[problem.own]
+    total = problem.comm.allreduce(np.array([mass.sum(), len(mass)]))
+    return float(total[0] / total[1])
 
 
 def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
