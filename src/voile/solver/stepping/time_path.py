@@ -26,8 +26,9 @@ from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean,
 class Options:
     """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
-    that order, and second order needs no better. rest: of the way that the loads lead in a step from rest; an approach
-    within it is no impact. close: of a step, that the end may be beyond it."""
+    that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
+    the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
+    positions may err by."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -35,6 +36,7 @@ class Options:
     trial: float = 0.01
     close: float = 1e-6
     rest: float = 2.0
+    digits: float = 4.0
 
 
 @dataclass
@@ -122,7 +124,7 @@ class Stepper:
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
         self.length = options.time_step
         path.counts = solver.counts
-        self.force, self.mass = self._scale(), _mean_mass(problem)
+        self.mass, self.largest = _mean_mass(problem), 0.0
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         self.pushed = np.zeros(len(self.k.positions), dtype=bool)
 
@@ -168,7 +170,7 @@ class Stepper:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
         y, k, path = self.y, self.k, self.path
         start, problem = self.problem.save(y), self.problem.at(end)
-        before, wanted = self.solver.counts.iterations, self.asked.tolerance * self.force
+        before, wanted = self.solver.counts.iterations, None
         self._begin_contact(problem, scheme, start.time, h)
         prediction = self._guess(problem, scheme.predict(k, h))
         bearing = self._bearing(problem, np.zeros(len(k.positions), dtype=bool))
@@ -179,6 +181,7 @@ class Stepper:
             if problem.contact:
                 problem.contact.inertia = float(np.max(coefficient)) * self.mass
             step = problem.with_terms(inertia)
+            wanted = wanted or self._wanted(problem, inertia)
             outcome = self.solver.solve(step, y, wanted)
             if not outcome.converged:
                 problem.restore(y, start)
@@ -236,19 +239,17 @@ class Stepper:
         self.y.axpy(problem.longest_step(self.y, way), way)
         return prediction
 
-    def _scale(self) -> float:
-        """What the tolerance is relative to (N): the loads' norm; without any that of the forces at the start or of
-        those that bend the way of what moves within the shell's size."""
-        problem, y = self.problem, self.y
-        loads = problem.load_norm(y)
-        if loads > 0.0:
-            return loads
-        f = problem.create_vector()
-        problem.residual(y, f)
-        momentum = problem.vertex_mass()[:, None] * self.k.velocity
-        speed = problem.in_sizes(self.k.velocity)
-        turning = speed * problem.norm(momentum[problem.own].ravel())
-        return max(f.norm(), turning, force_floor(problem))
+    def _wanted(self, problem: Problem, inertia: Inertia) -> float:
+        """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
+        that the guesses have met; no less than the round-off of the inertia."""
+        loads = problem.load_norm(self.y)
+        if not loads:
+            f = problem.create_vector()
+            problem.residual(self.y, f)
+            loads = self.largest = max(self.largest, f.norm(), force_floor(problem))
+        heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
+        digits = self.options.digits * np.finfo(float).eps * problem.size()
+        return max(self.asked.tolerance * loads, digits * heaviest)
 
 
 def _mean_mass(problem: Problem) -> float:
