@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from voile.contact.motion import Motion, Spell
+from voile.contact.motion import Motion, Spell, Track
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.errors import InputError
@@ -18,6 +18,7 @@ from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
+from voile.scene.moves import Move, read_path
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
@@ -106,7 +107,10 @@ def build_model(scene: Scene) -> Model:
 
 def _load_laws(scene: Scene) -> dict[str, Load]:
     """In time loads act as they are; else in proportion to the load factor."""
-    return dict.fromkeys(LOADS, History()) if scene.scene.task == "dynamics" else {}
+    if scene.scene.task != "dynamics":
+        return {}
+    history = np.array(scene.loads.history)
+    return dict.fromkeys(LOADS, History(*history.T) if len(history) else History())
 
 
 def _check_unknowns(shell: Shell, where: str) -> None:
@@ -211,17 +215,37 @@ def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
     """With task = dynamics: the supports that move, and how."""
     if scene.scene.task != "dynamics":
         return ()
-    moving = [(k, fix) for k, fix in enumerate(scene.fix) if fix.move]
     return tuple(
         (select(surface, loops, fix.select, f"{scene.path}: fix.{k}.select"), _motion(scene, fix.move))
-        for k, fix in moving
+        for k, fix in enumerate(scene.fix)
+        if fix.move
     )
 
 
-def _motion(scene: Scene, move) -> Motion:
-    """That of a scene's `move` table: over the duration, or along the load path."""
-    parts: dict[str, Any] = {name: np.array(value) for name, value in vars(move).items()}
-    return Spell(**parts, end=scene.dynamics.duration) if scene.scene.task == "dynamics" else Motion(**parts)
+def _motion(scene: Scene, move: Move) -> Motion:
+    """That of a scene's `move` table."""
+    center, duration = np.array(move.center), scene.dynamics.duration
+    if move.path:
+        times, rows = read_path(move.path, duration)
+        return Track(times=times, rows=rows, center=center)
+    parts: dict[str, Any] = {
+        "displacement": np.array(move.displacement),
+        "rotation": np.array(move.rotation),
+        "center": center,
+    }
+    if not move.in_time:
+        return Spell(**parts, end=duration) if scene.scene.task == "dynamics" else Motion(**parts)
+    until = duration if move.until is None else move.until
+    if until <= move.begin:
+        raise InputError(
+            f"{scene.path}: move.from = {move.begin:g} s; allowed: before the end of the duration"
+        )
+    lasts = until - move.begin
+    parts |= {
+        "displacement": lasts * np.array(move.velocity),
+        "rotation": lasts * np.array(move.angular_velocity),
+    }
+    return Spell(**parts, begin=move.begin, end=until)
 
 
 def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarray | None:

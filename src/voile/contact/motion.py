@@ -71,3 +71,24 @@ class Spell(Motion):
 
     def share(self, t: float) -> float:
         return min(max((t - self.begin) / (self.end - self.begin), 0.0), 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track(Motion):
+    """Rows (k, 6) of displacement (m) and rotation vector (rad) at times (k,) s, linear between."""
+
+    times: np.ndarray
+    rows: np.ndarray
+
+    @property
+    def moves(self) -> bool:
+        return bool(self.rows.any())
+
+    def shift(self, t: float) -> np.ndarray:
+        return self._at(t)[:3]
+
+    def turn(self, t: float) -> np.ndarray:
+        return Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
+
+    def _at(self, t: float) -> np.ndarray:
+        return np.array([np.interp(t, self.times, column) for column in self.rows.T])

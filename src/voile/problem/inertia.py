@@ -14,6 +14,7 @@ class Inertia(Term):
     here; coefficient (1/s^2, one or (local vertices, 1)) and predicted (local vertices, 3) m are the scheme's. Over the
     unknowns the mass is C^T M C. Directors have none: they follow at every instant."""
 
+    name = "inertia"
     mass: np.ndarray
     own: np.ndarray
     coefficient: float | np.ndarray
@@ -21,7 +22,7 @@ class Inertia(Term):
 
     def energies(self, at: Point) -> dict[str, float]:
         away = (self.coefficient * (at.positions - self.predicted) ** 2).sum(axis=1)
-        return {"inertia": 0.5 * float((self.mass * away)[self.own].sum())}
+        return {self.name: 0.5 * float((self.mass * away)[self.own].sum())}
 
     def forces(self, at: Point) -> np.ndarray:
         return at.over_dofs(self.coefficient * self.mass[:, None] * (self.predicted - at.positions))

@@ -1,9 +1,10 @@
 """task = dynamics: the motion in time from the scene's start."""
 
+from voile.problem.damping import Damping
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
 from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, start_kinematics
-from voile.tasks.in_time import TimeSteps, figures, initial_velocity
+from voile.tasks.in_time import TimeSteps, air, figures, initial_velocity
 from voile.tasks.run import Run
 
 
@@ -12,7 +13,9 @@ def run(job: Run) -> str:
     d = job.scene.dynamics
     job.progress.parameter = "time"
     scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta))
-    options = TimeOptions(scheme, d.time_step, d.duration, d.tolerance)
+    options = TimeOptions(
+        scheme, d.time_step, d.duration, d.tolerance, air(job), Damping(d.damping.mass, d.damping.stiffness)
+    )
     shell, problem = job.prepare()
     problem = problem.at(0.0)
     y = problem.create_vector()

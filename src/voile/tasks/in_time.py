@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
 from voile.solver.stepping.schemes import Kinematics
@@ -17,6 +18,12 @@ def initial_velocity(job: Run, x: np.ndarray) -> np.ndarray:
     shell = job.scene.shell
     about = x - np.array(shell.angular_center)
     return np.array(shell.velocity) + np.cross(np.array(shell.angular_velocity), about)
+
+
+def air(job: Run) -> Air | None:
+    """The scene's, where it drags."""
+    loads = job.scene.loads
+    return Air(np.array(loads.wind), loads.drag) if loads.drag else None
 
 
 class TimeSteps:

@@ -12,10 +12,12 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_report
+from voile.problem.damping import Air, Damping, KelvinVoigt, Viscous, Wind
 from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, slow_rate
+from voile.problem.terms import Term
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
@@ -41,12 +43,15 @@ class Options:
 
 @dataclass
 class TimeOptions:
-    """scheme; time_step and duration (s); tolerance: of each step's residual over the loads."""
+    """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
+    shell; damping: Rayleigh's."""
 
     scheme: Scheme
     time_step: float
     duration: float
     tolerance: float = 1e-6
+    air: Air | None = None
+    damping: Damping = Damping()
 
 
 class StepSolver(Protocol):
@@ -122,7 +127,7 @@ class Stepper:
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
-        self.length = options.time_step
+        self.length, self.damping = options.time_step, options.damping
         path.counts = solver.counts
         self.mass, self.largest = _mean_mass(problem), 0.0
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
@@ -168,31 +173,21 @@ class Stepper:
 
     def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome]:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
-        y, k, path = self.y, self.k, self.path
-        start, problem = self.problem.save(y), self.problem.at(end)
-        before, wanted = self.solver.counts.iterations, None
+        y, k = self.y, self.k
+        start, before = self.problem.save(y), self.solver.counts.iterations
+        stress = self.problem.elastic.forces(self.problem.point(y)) if self.damping.stiffness else None
+        problem = self.problem.at(end)
         self._begin_contact(problem, scheme, start.time, h)
-        prediction = self._guess(problem, scheme.predict(k, h))
-        bearing = self._bearing(problem, np.zeros(len(k.positions), dtype=bool))
-        while True:
-            prediction = prediction.where(bearing, ImplicitEuler().predict(k, h))
-            coefficient = prediction.coefficient
-            inertia = Inertia(problem.vertex_mass(), problem.own, coefficient, prediction.predicted)
-            if problem.contact:
-                problem.contact.inertia = float(np.max(coefficient)) * self.mass
-            step = problem.with_terms(inertia)
-            wanted = wanted or self._wanted(problem, inertia)
-            outcome = self.solver.solve(step, y, wanted)
-            if not outcome.converged:
-                problem.restore(y, start)
-                return None, outcome
-            now = self._bearing(problem, bearing)
-            if problem.everywhere(np.array_equal(now, bearing)):
-                break
-            bearing = now
-        path.seconds |= {"linear_solve": self.solver.counts.seconds}
+        self._guess(problem, scheme.predict(k, h))
+        with problem.elastic.stiffened(1.0 + self.damping.stiffness / h):
+            prediction, step, wanted, outcome = self._solve(problem, scheme, h, stress)
+            residual = _residual(step, y, wanted) if outcome.converged else np.inf
+        self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
-            path.seconds |= {"contact": problem.contact.seconds}
+            self.path.seconds |= {"contact": problem.contact.seconds}
+        if not outcome.converged:
+            problem.restore(y, start)
+            return None, outcome
         x = problem.positions(y)
         push = _push(problem, x)
         self.pushed = push.any(axis=1)
@@ -201,7 +196,7 @@ class Stepper:
             problem.time,
             h,
             self.solver.counts.iterations - before,
-            _residual(step, y, wanted),
+            residual,
             wanted,
             problem.energies(y),
             contact_report(problem, y) if problem.contact else None,
@@ -209,6 +204,41 @@ class Stepper:
             problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
         )
         return done, outcome
+
+    def _solve(
+        self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
+    ) -> tuple[Prediction, Problem, float, Outcome]:
+        """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
+        prediction, problem, tolerance (N) and outcome."""
+        k, wanted = self.k, 0.0
+        prediction, euler = scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        bearing = self._bearing(problem, np.zeros(len(k.positions), dtype=bool))
+        while True:
+            prediction = prediction.where(bearing, euler)
+            inertia = Inertia(
+                problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted
+            )
+            if problem.contact:
+                problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
+            step = problem.with_terms(inertia, *self._resistance(problem, prediction))
+            if stress is not None:
+                step = step.with_terms(KelvinVoigt(problem.elastic, self.damping.stiffness / h, stress))
+            wanted = wanted or self._wanted(problem, inertia)
+            outcome = self.solver.solve(step, self.y, wanted)
+            now = self._bearing(problem, bearing)
+            if not outcome.converged or problem.everywhere(np.array_equal(now, bearing)):
+                return prediction, step, wanted, outcome
+            bearing = now
+
+    def _resistance(self, problem: Problem, prediction: Prediction) -> list[Term]:
+        """What depends on velocities."""
+        x, terms = self.k.positions, list[Term]()
+        rate, still = np.broadcast_to(prediction.rate, (len(x), 1)), prediction.still
+        if self.asked.air:
+            terms.append(Wind.at(problem.part, self.asked.air, x, rate, still))
+        if self.damping.mass:
+            terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
+        return terms
 
     def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
         """Slip counts from here, impacts rebound."""
@@ -231,13 +261,12 @@ class Stepper:
         unknowns.array[:] = problem.layout.collect(dofs) > 0.0
         return bears | problem.motion(unknowns).any(axis=1)
 
-    def _guess(self, problem: Problem, prediction: Prediction) -> Prediction:
+    def _guess(self, problem: Problem, prediction: Prediction) -> None:
         """Goes as the last acceleration leads, as far as terms admit."""
         k = self.k
         goal = prediction.predicted + k.acceleration / prediction.coefficient
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
-        return prediction
 
     def _wanted(self, problem: Problem, inertia: Inertia) -> float:
         """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
@@ -248,7 +277,7 @@ class Stepper:
             problem.residual(self.y, f)
             loads = self.largest = max(self.largest, f.norm(), force_floor(problem))
         heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
-        digits = self.options.digits * np.finfo(float).eps * problem.size()
+        digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
 
 
