@@ -72,13 +72,20 @@ class Elastic(Term):
         self.kernel.hessian(at.u, at.phi, kind, scatter)
 
     def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
-        """None on which a hinge turns through 180 degrees; 0 where even a millionth does."""
+        """None on which a hinge turns through 180 degrees or that ends beyond a barrier of the model; 0 where even a
+        millionth does."""
         du, dphi = step[: len(at.u)], step[len(at.u) :]
-        while self.kernel.folds_over(at.u, at.phi, at.u + most * du, at.phi + most * dphi):
+        while not self._admits(at, at.u + most * du, at.phi + most * dphi):
             most *= 0.5
             if most < SHORTEST:
                 return 0.0
         return most
+
+    def _admits(self, at: Point, u: np.ndarray, phi: np.ndarray) -> bool:
+        """Whether the way to displacements u and director angles phi is one."""
+        return not self.kernel.folds_over(at.u, at.phi, u, phi) and bool(
+            np.isfinite(sum(self.kernel.energy(u, phi)))
+        )
 
 
 def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kernels.Elastic:
