@@ -13,7 +13,7 @@ from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, TimeStep, start_kinematics
+from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, TimeStep, start_path
 
 STEADY = dict.fromkeys(LOADS, History())
 
@@ -97,9 +97,8 @@ def move(
 ) -> Recorded:
     """Follows a shell in time; velocity: (n, 3) or (3,) m/s at the start."""
     problem = with_obstacles(Problem(shell, MPI.COMM_SELF), obstacles or [], offset).at(0.0)
-    y = problem.create_vector()
     start = np.broadcast_to(velocity, shell.points.shape)[problem.part.vertex].astype(float)
-    path = TimePath(y, start_kinematics(problem, y, start))
+    path = start_path(problem, start)
     solver = NewtonStep(problem)
     seen = Recorded(path, problem, solver)
     options = TimeOptions(SCHEMES[scheme](asked or SchemeOptions()), time_step, duration, tolerance, **more)

@@ -51,7 +51,7 @@ class Wind(Term):
 
     @classmethod
     def at(cls, part: Part, air: Air, x: np.ndarray, rate: np.ndarray, still: np.ndarray) -> Self:
-        """Of a step that begins at positions x (n, 3) m; rate (n, 1) 1/s and still (n, 3) m of its velocities."""
+        """Of a step that begins at positions x (n, 3) m; rate (n, 3) 1/s and still (n, 3) m of its velocities."""
         return cls(part, air, 0.5 * area_vectors(x, part.corners), rate, still)
 
     def energies(self, at: Point) -> dict[str, float]:

@@ -11,7 +11,7 @@ from voile.problem.terms import Point, Term
 @dataclass
 class Inertia(Term):
     """coefficient/2 |x - predicted|^2_M. mass (local vertices,) kg, lumped; own (local vertices,) marks those counted
-    here; coefficient (1/s^2, one or (local vertices, 1)) and predicted (local vertices, 3) m are the scheme's. Over the
+    here; coefficient (1/s^2, one or (local vertices, 3)) and predicted (local vertices, 3) m are the scheme's. Over the
     unknowns the mass is C^T M C. Directors have none: they follow at every instant."""
 
     name = "inertia"
@@ -32,7 +32,7 @@ class Inertia(Term):
 
 
 def mass_blocks(mass: np.ndarray, coefficient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices with mass (kg) and coefficient (one or a column) times it, (p, 3, 3)."""
+    """The vertices with mass (kg) and coefficient (one or (n, 3)) times it, (p, 3, 3)."""
     vertex = np.flatnonzero(mass)
     scaled = (coefficient * mass[:, None])[vertex]
     return vertex, scaled[:, :, None] * np.eye(3)

@@ -3,7 +3,7 @@
 from voile.problem.damping import Damping
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, start_kinematics
+from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
 from voile.tasks.in_time import TimeSteps, air, figures, initial_velocity
 from voile.tasks.run import Run
 
@@ -18,8 +18,7 @@ def run(job: Run) -> str:
     )
     shell, problem = job.prepare()
     problem = problem.at(0.0)
-    y = problem.create_vector()
-    path = TimePath(y, start_kinematics(problem, y, initial_velocity(job, problem.positions(y))))
+    path = start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
     with job.results(job.mesh(shell, problem.directors)) as writer:
         steps = TimeSteps(job, problem, writer, d.duration)
         steps.write(0.0, 0.0, path)

@@ -8,7 +8,6 @@ import numpy as np
 from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
-from voile.solver.stepping.schemes import Kinematics
 from voile.solver.stepping.time_path import TimePath, TimeStep
 from voile.tasks.run import Run, rows
 
@@ -53,29 +52,15 @@ class TimeSteps:
         self.job.writing += time.perf_counter() - start
 
 
-def kinetic_energy(problem: Problem, k: Kinematics) -> float:
-    """J."""
-    own = problem.own
-    square = (k.velocity[own] ** 2).sum(axis=1)
-    return 0.5 * problem.comm.allreduce(float(problem.vertex_mass()[own] @ square))
-
-
-def momenta(problem: Problem, k: Kinematics) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum (3,) kg m/s and angular momentum about the origin (3,) kg m^2/s."""
-    own = problem.own
-    p = problem.vertex_mass()[own, None] * k.velocity[own]
-    both = np.concatenate([p.sum(axis=0), np.cross(k.positions[own], p).sum(axis=0)])
-    both = problem.comm.allreduce(both)
-    return both[:3], both[3:]
-
-
 def figures(problem: Problem, path: TimePath) -> dict:
     """The summary's `dynamics`."""
-    momentum, angular = momenta(problem, path.kinematics)
+    books, k = path.books, path.kinematics
+    momentum, angular = books.momenta(k)
     energies = path.last.energies if path.last else problem.energies(path.state)
     return {
         "time": path.time,
-        "energy": {"kinetic": kinetic_energy(problem, path.kinematics), **energies},
+        "energy": {"kinetic": books.kinetic(k), **energies, **books.totals},
+        "balance_error": books.error,
         "momentum": momentum,
         "angular_momentum": angular,
     }

@@ -1,8 +1,8 @@
 """Time schemes: what each makes of a step, as an inertia term and an update.
 
 A step from t_n over h solves coefficient M (x - predicted) = F(x) + r for the positions x at its end, r the contacts'
-reactions; then v = rate (x - still) and a = coefficient (x - predicted). Where a contact bears, velocities jump: there
-every scheme is implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
+reactions; then v = rate (x - still) and a = coefficient (x - predicted). Where a contact bears or a support moves,
+velocities jump: there every scheme is implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class Before:
 @dataclass(frozen=True)
 class Prediction:
     """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity.
-    Coefficient and rate: one, or (n, 1)."""
+    Coefficient and rate: one, or (n, 3)."""
 
     coefficient: float | np.ndarray
     predicted: np.ndarray
@@ -44,13 +44,12 @@ class Prediction:
     still: np.ndarray
 
     def where(self, chosen: np.ndarray, other: "Prediction") -> "Prediction":
-        """The other one at the chosen (n,) vertices."""
-        rows = chosen[:, None]
+        """The other one for the chosen (n, 3) components."""
         return Prediction(
-            np.where(rows, other.coefficient, self.coefficient),
-            np.where(rows, other.predicted, self.predicted),
-            np.where(rows, other.rate, self.rate),
-            np.where(rows, other.still, self.still),
+            np.where(chosen, other.coefficient, self.coefficient),
+            np.where(chosen, other.predicted, self.predicted),
+            np.where(chosen, other.rate, self.rate),
+            np.where(chosen, other.still, self.still),
         )
 
     def velocity(self, x: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from voile.problem.terms import Term
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
+from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
 
@@ -90,6 +91,7 @@ class TimePath:
 
     state: PETSc.Vec
     kinematics: Kinematics
+    books: Books
     time: float = 0.0
     converged: bool = False
     reason: str = ""
@@ -113,6 +115,12 @@ class TimePath:
 OnStep = Callable[[TimeStep, TimePath], None]
 
 
+def start_path(problem: Problem, velocity: np.ndarray) -> TimePath:
+    """That of a shell at its start shape with velocities (local vertices, 3) m/s."""
+    y = problem.create_vector()
+    return TimePath(y, start_kinematics(problem, y, velocity), Books(problem))
+
+
 def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Kinematics:
     """At the unknowns y with velocities (local vertices, 3) m/s of what may move; the first acceleration is not
     known."""
@@ -132,6 +140,7 @@ class Stepper:
         self.mass, self.largest = _mean_mass(problem), 0.0
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         self.pushed = np.zeros(len(self.k.positions), dtype=bool)
+        self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
 
     def follow(self, on_step: OnStep | None = None) -> None:
         """To the duration; calls on_step after each step."""
@@ -175,7 +184,8 @@ class Stepper:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
         y, k = self.y, self.k
         start, before = self.problem.save(y), self.solver.counts.iterations
-        stress = self.problem.elastic.forces(self.problem.point(y)) if self.damping.stiffness else None
+        began = self.problem.point(y)
+        stress = self.problem.elastic.forces(began) if self.damping.stiffness else None
         problem = self.problem.at(end)
         self._begin_contact(problem, scheme, start.time, h)
         self._guess(problem, scheme.predict(k, h))
@@ -192,6 +202,10 @@ class Stepper:
         push = _push(problem, x)
         self.pushed = push.any(axis=1)
         self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
+        if scheme is self.asked.scheme:
+            resisting = self._resistance(problem, prediction, k.positions)
+            shares = self.damping.stiffness / h, stress
+            self.path.books.enter(Ended(problem, y, h, began, k, self.k, prediction, resisting, *shares))
         done = TimeStep(
             problem.time,
             h,
@@ -212,7 +226,7 @@ class Stepper:
         prediction, problem, tolerance (N) and outcome."""
         k, wanted = self.k, 0.0
         prediction, euler = scheme.predict(k, h), ImplicitEuler().predict(k, h)
-        bearing = self._bearing(problem, np.zeros(len(k.positions), dtype=bool))
+        bearing = self._bearing(problem, self.driven)
         while True:
             prediction = prediction.where(bearing, euler)
             inertia = Inertia(
@@ -220,7 +234,7 @@ class Stepper:
             )
             if problem.contact:
                 problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
-            step = problem.with_terms(inertia, *self._resistance(problem, prediction))
+            step = problem.with_terms(inertia, *self._resistance(problem, prediction, k.positions))
             if stress is not None:
                 step = step.with_terms(KelvinVoigt(problem.elastic, self.damping.stiffness / h, stress))
             wanted = wanted or self._wanted(problem, inertia)
@@ -230,10 +244,10 @@ class Stepper:
                 return prediction, step, wanted, outcome
             bearing = now
 
-    def _resistance(self, problem: Problem, prediction: Prediction) -> list[Term]:
-        """What depends on velocities."""
-        x, terms = self.k.positions, list[Term]()
-        rate, still = np.broadcast_to(prediction.rate, (len(x), 1)), prediction.still
+    def _resistance(self, problem: Problem, prediction: Prediction, x: np.ndarray) -> list[Term]:
+        """What depends on velocities, in a step from positions x (n, 3)."""
+        terms = list[Term]()
+        rate, still = np.broadcast_to(prediction.rate, x.shape), prediction.still
         if self.asked.air:
             terms.append(Wind.at(problem.part, self.asked.air, x, rate, still))
         if self.damping.mass:
@@ -250,16 +264,16 @@ class Stepper:
                 problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
 
     def _bearing(self, problem: Problem, known: np.ndarray) -> np.ndarray:
-        """(local vertices,) those that are known to bear on something in this step, or do now, or did in the last one,
-        with all that is sewn to them. Nothing of it matters to implicit Euler."""
+        """(local vertices, 3) components that are known to be implicit Euler's in this step, and those of vertices that
+        bear on something now or did in the last step, with all that is sewn to them."""
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
             return known
         force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
-        bears = known | force.any(axis=1) | self.pushed
+        bears = force.any(axis=1) | self.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
         unknowns.array[:] = problem.layout.collect(dofs) > 0.0
-        return bears | problem.motion(unknowns).any(axis=1)
+        return known | (bears | problem.motion(unknowns).any(axis=1))[:, None]
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
         """Goes as the last acceleration leads, as far as terms admit."""
