@@ -111,7 +111,10 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     assert scene.contact.offset is None and scene.contact.self_contact is False
     steps = None  # 10, or 1 on what is still
     assert dataclasses.astuple(scene.statics) == (steps, 1000, 1.0, 1e-8, True, False, True)
-    assert dataclasses.astuple(scene.dynamics) == ("implicit-euler", 0.01, 1.0)
+    assert dataclasses.astuple(scene.dynamics) == (
+        *("implicit-euler", 0.01, 1.0),
+        *("newton", 1e-6, 20, False, 1e-3, 0.8, 1.0, (0.0, 0.0), 0.0),
+    )
     assert dataclasses.astuple(scene.inverse) == (
         *(True, "adjoint", 0.0, 0.001, False, (), None, ()),
         *((), 0.0, 1e-3, 20, 1e-8, 0.0),

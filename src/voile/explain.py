@@ -77,8 +77,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ),
         (
             "moving supports",
-            bool(shell.motion.any()),
-            "fix.move" if shell.motion.any() else "no support moves",
+            supports_move(shell),
+            "fix.move" if supports_move(shell) else "no support moves",
         ),
         ("contact", bool(model.obstacles), _contact(model)),
         ("self-contact", scene.contact.self_contact, _self_contact(scene, model)),
@@ -86,14 +86,24 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ("nested levels", *_nested(scene, model)),
         (
             "mass",
-            False,
-            f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only",
+            scene.scene.task == "dynamics",
+            f"inertia of the vertices, {weight(shell):.4g} kg; directors follow at every instant"
+            if scene.scene.task == "dynamics"
+            else f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only",
         ),
     ]
     return rows
 
 
+def supports_move(shell: Shell) -> bool:
+    """Whether any does."""
+    return bool(shell.motion.any()) or any(motion.moves for _, motion in shell.moves)
+
+
 def _solver(scene: Scene, model: Model) -> str:
+    if scene.scene.task == "dynamics":
+        step = "semismooth Newton" if model.obstacles or scene.contact.self_contact else "Newton"
+        return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, MUMPS"
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         search = "Newton in the rest shape (MUMPS LU), inertia as certificate"
         then = {
@@ -116,7 +126,7 @@ def _solver(scene: Scene, model: Model) -> str:
 def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
     """Whether coarser levels of the mesh are solved first, and why (see solver.nested.pays)."""
     shell, options, statics = model.shell, Options(), scene.statics
-    moves = bool(shell.motion.any()) or any(body.motion.moves for body in model.obstacles)
+    moves = supports_move(shell) or any(body.motion.moves for body in model.obstacles)
     against = {
         f"task = {scene.scene.task!r}": scene.scene.task != "statics",
         "statics.nested is false": not statics.nested,

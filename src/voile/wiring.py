@@ -6,16 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from voile.contact.motion import Motion
+from voile.contact.motion import Motion, Spell, Track
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
+from voile.problem.load import History, Load
+from voile.problem.loads import LOADS
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
+from voile.scene.moves import Move, read_path
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
@@ -46,6 +49,7 @@ def build_model(scene: Scene) -> Model:
     topology = build_topology(surface.triangles)
     loops = boundary_loops(surface.triangles, topology, surface.points)
     fixed, motion, clamped = _supports(scene, surface, topology, loops)
+    moves = _moves_in_time(scene, surface, loops)
     thickness, young, poisson, density = _fabric(scene, surface)
     shell = Shell(
         points=surface.points,
@@ -59,7 +63,8 @@ def build_model(scene: Scene) -> Model:
         poisson=poisson,
         density=density,
         fixed=fixed,
-        motion=motion,
+        motion=np.zeros_like(motion) if moves else motion,
+        moves=moves,
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
         pressure=float(scene.loads.pressure),
@@ -67,6 +72,7 @@ def build_model(scene: Scene) -> Model:
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
         seam_bending=spec.seam_bending,
+        load_laws=_load_laws(scene),
         **_seams(surface),
     )
     bodies = build_obstacles(scene)
@@ -93,10 +99,18 @@ def build_model(scene: Scene) -> Model:
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
             notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
-    if not bodies or not _pressed(shell, bodies):
+    if scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     return Model(shell, surface, rest, notes, bodies, offset, cuts)
+
+
+def _load_laws(scene: Scene) -> dict[str, Load]:
+    """In time loads act as they are; else in proportion to the load factor."""
+    if scene.scene.task != "dynamics":
+        return {}
+    history = np.array(scene.loads.history)
+    return dict.fromkeys(LOADS, History(*history.T) if len(history) else History())
 
 
 def _check_unknowns(shell: Shell, where: str) -> None:
@@ -197,6 +211,43 @@ def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np
     return fixed, motion, np.flatnonzero(clamped).astype(np.int32)
 
 
+def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
+    """With task = dynamics: the supports that move, and how."""
+    if scene.scene.task != "dynamics":
+        return ()
+    return tuple(
+        (select(surface, loops, fix.select, f"{scene.path}: fix.{k}.select"), _motion(scene, fix.move))
+        for k, fix in enumerate(scene.fix)
+        if fix.move
+    )
+
+
+def _motion(scene: Scene, move: Move) -> Motion:
+    """That of a scene's `move` table."""
+    center, duration = np.array(move.center), scene.dynamics.duration
+    if move.path:
+        times, rows = read_path(move.path, duration)
+        return Track(times=times, rows=rows, center=center)
+    parts: dict[str, Any] = {
+        "displacement": np.array(move.displacement),
+        "rotation": np.array(move.rotation),
+        "center": center,
+    }
+    if not move.in_time:
+        return Spell(**parts, end=duration) if scene.scene.task == "dynamics" else Motion(**parts)
+    until = duration if move.until is None else move.until
+    if until <= move.begin:
+        raise InputError(
+            f"{scene.path}: move.from = {move.begin:g} s; allowed: before the end of the duration"
+        )
+    lasts = until - move.begin
+    parts |= {
+        "displacement": lasts * np.array(move.velocity),
+        "rotation": lasts * np.array(move.angular_velocity),
+    }
+    return Spell(**parts, begin=move.begin, end=until)
+
+
 def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarray | None:
     """(n, 3) dead forces; a total is shared evenly over its selection."""
     if not scene.loads.force:
@@ -233,17 +284,10 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
     """The scene's obstacles in the order of the file."""
     found: list[Obstacle] = []
     for k, spec in enumerate(scene.obstacle):
-        move, motion = spec.move, Motion()
-        if move is not None:
-            motion = Motion(
-                displacement=np.array(move.displacement),
-                rotation=np.array(move.rotation),
-                center=np.array(move.center),
-            )
+        motion = Motion() if spec.move is None else _motion(scene, spec.move)
         body = SHAPES[spec.shape]
-        found.append(
-            body.build(spec.geometry(), name=f"{spec.shape} {k}", friction=spec.friction, motion=motion)
-        )
+        laws = {"friction": spec.friction, "restitution": spec.restitution}
+        found.append(body.build(spec.geometry(), name=f"{spec.shape} {k}", motion=motion, **laws))
     return found
 
 

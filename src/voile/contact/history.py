@@ -8,22 +8,23 @@ import numpy as np
 
 from voile.contact.candidates import Candidates
 
-PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight")
+PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight", "level")
 
 
 @dataclass
 class History:
     """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
     contacts: reactions normal (c,) and friction (c, 3) in N; of the augmented Lagrangian Tresca's friction bounds
-    tresca (c,) N, frozen_normal (c, 3) and frozen_weight (c, s) of the contact's vertices. Of the step's start:
-    positions reference (n, 3) m and, of all vertices, layers; its time, in statics the load factor. candidates: the
-    shell's contacts with itself."""
+    tresca (c,) N, frozen_normal (c, 3) and frozen_weight (c, s) of the contact's vertices; level (c,) m, the gap that
+    the step must leave: 0 but for rebounds. Of the step's start: positions reference (n, 3) m and, of all vertices,
+    layers; its time, in statics the load factor. candidates: the shell's contacts with itself."""
 
     normal: list[np.ndarray]
     friction: list[np.ndarray]
     tresca: list[np.ndarray]
     frozen_normal: list[np.ndarray]
     frozen_weight: list[np.ndarray]
+    level: list[np.ndarray]
     reference: np.ndarray
     time: float
     candidates: Candidates
@@ -47,5 +48,7 @@ def blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> History:
     none = Candidates(
         np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)), np.zeros(0)
     )
-    blank = History(scalars, vectors, scalars, vectors, weights, reference, 0.0, none, np.zeros((0, 3)))
+    blank = History(
+        scalars, vectors, scalars, vectors, weights, scalars, reference, 0.0, none, np.zeros((0, 3))
+    )
     return blank.copy()

@@ -19,8 +19,9 @@ from voile.contact.pairs import Geometry
 
 @dataclass
 class ObstacleContact:
-    """Every local vertex with one obstacle, at `offset` (n,) m from it."""
+    """Every local vertex with one obstacle, at `offset` (n,) m from it; index: its part of the history."""
 
+    index: int
     obstacle: Obstacle
     offset: np.ndarray
     free: np.ndarray
@@ -38,12 +39,13 @@ class ObstacleContact:
 
     def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(n,) m."""
-        return self.obstacle.gap(x, t) - self.offset
+        return self.obstacle.gap(x, t) - self.offset - history.level[self.index]
 
     def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
         """That of some contacts."""
         gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t)
-        return Geometry(gap - self.offset[rows], gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
+        gap -= self.offset[rows] + history.level[self.index][rows]
+        return Geometry(gap, gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
     def moved(
         self, rows: np.ndarray, weight: np.ndarray, x: np.ndarray, t: float, history: History
@@ -65,7 +67,7 @@ class ObstacleContact:
 
     def nearest(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
         """(n,) gap (m) of each vertex."""
-        return self.gaps(x, t, history)
+        return self.obstacle.gap(x, t) - self.offset
 
     def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
         """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""

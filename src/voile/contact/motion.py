@@ -13,7 +13,7 @@ def _zeros() -> np.ndarray:
 @dataclass(frozen=True, kw_only=True)
 class Motion:
     """A displacement (3,) m, or (n, 3) of n points, and a rotation vector (3,) rad about `center` (3,) m, reached at
-    t = 1 in proportion to t. Another law of motion overrides `shift`, `turn` and `moves`."""
+    t = 1 in proportion to t. Another law of motion overrides `share`, or `shift`, `turn` and `moves`."""
 
     displacement: np.ndarray = field(default_factory=_zeros)
     rotation: np.ndarray = field(default_factory=_zeros)
@@ -24,13 +24,17 @@ class Motion:
         """Whether the body is ever elsewhere than at t = 0."""
         return bool(np.any(self.displacement) or np.any(self.rotation))
 
+    def share(self, t: float) -> float:
+        """Of the motion, at time t."""
+        return t
+
     def shift(self, t: float) -> np.ndarray:
         """Displacement of the centre at time t (m), shaped as `displacement`."""
-        return t * np.asarray(self.displacement)
+        return self.share(t) * np.asarray(self.displacement)
 
     def turn(self, t: float) -> np.ndarray:
         """(3, 3) rotation at time t."""
-        return Rotation.from_rotvec(t * np.asarray(self.rotation, dtype=float)).as_matrix()
+        return Rotation.from_rotvec(self.share(t) * np.asarray(self.rotation, dtype=float)).as_matrix()
 
     def place(self, points: np.ndarray, t: float) -> np.ndarray:
         """Where the body's points (n, 3) are at time t."""
@@ -56,3 +60,35 @@ class Motion:
         total[:3, :3] = self.turn(t)
         total[:3, 3] = self.place(np.zeros((1, 3)), t)[0]
         return total
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spell(Motion):
+    """Displacement and rotation are those over the time from `begin` to `end` (s), at a constant rate."""
+
+    begin: float = 0.0
+    end: float
+
+    def share(self, t: float) -> float:
+        return min(max((t - self.begin) / (self.end - self.begin), 0.0), 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track(Motion):
+    """Rows (k, 6) of displacement (m) and rotation vector (rad) at times (k,) s, linear between."""
+
+    times: np.ndarray
+    rows: np.ndarray
+
+    @property
+    def moves(self) -> bool:
+        return bool(self.rows.any())
+
+    def shift(self, t: float) -> np.ndarray:
+        return self._at(t)[:3]
+
+    def turn(self, t: float) -> np.ndarray:
+        return Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
+
+    def _at(self, t: float) -> np.ndarray:
+        return np.array([np.interp(t, self.times, column) for column in self.rows.T])

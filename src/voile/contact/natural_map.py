@@ -39,6 +39,7 @@ class NaturalMap:
     own: np.ndarray
     touch: float
     itself: SelfContact | None = None
+    inertia: float = 0.0  # N/m, that of a vertex over a step in time
     history: History = field(init=False)
     layers: float = LAYERS  # factor on that of the shell against itself
     most: float = np.inf  # N/m, of rho
@@ -48,8 +49,8 @@ class NaturalMap:
         k, n = len(self.obstacles), len(self.movable)
         self.offset = np.broadcast_to(np.asarray(self.offset, dtype=float), (k, n))
         self.partners: list[ObstacleContact | SelfContact] = [
-            ObstacleContact(o, d, self.movable, self.own)
-            for o, d in zip(self.obstacles, self.offset, strict=True)
+            ObstacleContact(index, o, d, self.movable, self.own)
+            for index, (o, d) in enumerate(zip(self.obstacles, self.offset, strict=True))
         ]
         sizes = [(n, 1)] * k
         if self.itself:
@@ -59,7 +60,7 @@ class NaturalMap:
 
     def rho(self, k: int, softness: float = 1.0) -> float:
         """N/m, scale of the natural map with partner k; softness: a factor on it."""
-        rho = softness * self.stiffness * (1.0 if k < len(self.obstacles) else self.layers)
+        rho = softness * self._scale * (1.0 if k < len(self.obstacles) else self.layers)
         return min(rho, self.most)
 
     @contextmanager
@@ -75,7 +76,12 @@ class NaturalMap:
     @property
     def penalty(self) -> float:
         """N/m, stiffness of the equations' constraints."""
-        return PENALTY * self.stiffness
+        return PENALTY * self._scale
+
+    @property
+    def _scale(self) -> float:
+        """N/m."""
+        return max(self.stiffness, self.inertia)
 
     @property
     def moves(self) -> bool:
@@ -95,6 +101,20 @@ class NaturalMap:
         self.history.friction = [(1.0 - OFF_BOUND) * friction for friction in self.history.friction]
         if self.itself:
             self.history.layers = self.itself.gather(x).copy()
+
+    def rebound(self, x: np.ndarray, begin: float, end: float, way: np.ndarray, rest: float) -> None:
+        """Restitution over a step that has begun at positions x (n, 3): vertices whose way (n, 3) without forces leads
+        into an obstacle by `end` leave it with the coefficient's share of the approach (Moreau's law at velocity
+        level, in steps of implicit Euler). No impact is an approach (m) within `rest`."""
+        for k, obstacle in enumerate(self.obstacles):
+            level = np.zeros(len(x))
+            if obstacle.restitution:
+                gap, normal, _ = obstacle.gap_derivatives(x, begin)
+                gap -= np.asarray(self.offset)[k]
+                nearer = -np.einsum("pi,pi->p", normal, way - (obstacle.carry(x, begin, end) - x))
+                impact = (gap <= nearer) & (nearer > rest)
+                level[impact] = (np.maximum(gap, 0.0) + obstacle.restitution * nearer)[impact]
+            self.history.level[k] = level
 
     def gap(self, k: int, x: np.ndarray, t: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""

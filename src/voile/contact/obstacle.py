@@ -14,7 +14,7 @@ SHAPES: dict[str, type["Obstacle"]] = {}  # by the scene's word, in the order of
 
 @dataclass(frozen=True, kw_only=True)
 class Obstacle:
-    """A rigid body with Coulomb's coefficient of friction; lengths in m.
+    """A rigid body with Coulomb's coefficient of friction and, in time, restitution (0 to 1); lengths in m.
 
     A shape is one subclass, named for scenes by `shape=`: its fields made by `voile.keys.key` are the keys of its scene
     table. It defines `derivatives` and `surface`, and `distance` where that is cheaper without derivatives.
@@ -23,6 +23,7 @@ class Obstacle:
     shape: ClassVar[str]
     name: str = "obstacle"
     friction: float = 0.0
+    restitution: float = 0.0
     motion: Motion = field(default_factory=Motion)
 
     def __init_subclass__(cls, shape: str, **other: Any) -> None:
@@ -43,7 +44,7 @@ class Obstacle:
 
     @classmethod
     def build(cls, values: dict[str, Any], **common: Any) -> Self:
-        """The body of a scene table's values; common: name, friction, motion."""
+        """The body of a scene table's values; common: name, friction, restitution, motion."""
         for name, value in values.items():
             common[name] = np.array(value, dtype=float) if isinstance(value, tuple) else value
         return cls(**common)

@@ -60,12 +60,13 @@ def show(value: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Number:
-    """A finite number in `unit`, above and below exclusive bounds, at least an inclusive one."""
+    """A finite number in `unit`, above and below exclusive bounds, at least and at most inclusive ones."""
 
     unit: str = ""
     above: float | None = None
     below: float | None = None
     least: float | None = None
+    most: float | None = None
 
     def read(self, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -79,6 +80,7 @@ class Number:
             and (self.above is None or number > self.above)
             and (self.below is None or number < self.below)
             and (self.least is None or number >= self.least)
+            and (self.most is None or number <= self.most)
         )
         if not inside:
             raise _not_allowed(value, self)
@@ -87,14 +89,24 @@ class Number:
     def allowed(self) -> str:
         bounds = [
             f"{sign} {bound:g}"
-            for sign, bound in ((">", self.above), (">=", self.least), ("<", self.below))
+            for sign, bound in (
+                (">", self.above),
+                (">=", self.least),
+                ("<", self.below),
+                ("<=", self.most),
+            )
             if bound is not None
         ]
         unit = f" in {self.unit}, written without the unit" if self.unit else ""
         return f"a finite number {' and '.join(bounds)}".rstrip() + unit
 
     def schema(self) -> dict[str, Any]:
-        bounds = {"exclusiveMinimum": self.above, "exclusiveMaximum": self.below, "minimum": self.least}
+        bounds = {
+            "exclusiveMinimum": self.above,
+            "exclusiveMaximum": self.below,
+            "minimum": self.least,
+            "maximum": self.most,
+        }
         return {"type": "number", **{name: bound for name, bound in bounds.items() if bound is not None}}
 
 

@@ -6,9 +6,10 @@ from typing import Any
 from voile.keys.kinds import Array, Kind, Number, Rejected, read_key, wrong_type
 
 
-def key(kind: Kind, meaning: str, **default: Any) -> Any:
-    """A field of a table: required without `default` or `default_factory`."""
-    return dataclasses.field(metadata={"kind": kind, "meaning": meaning}, **default)
+def key(kind: Kind, meaning: str, word: str = "", **default: Any) -> Any:
+    """A field of a table: required without `default` or `default_factory`. word: its key in the file, where the
+    field's name is another."""
+    return dataclasses.field(metadata={"kind": kind, "meaning": meaning, "word": word}, **default)
 
 
 class Table:
@@ -16,7 +17,7 @@ class Table:
 
     def __init__(self, of: Any):
         self.of = of
-        self.fields = {f.name: f for f in dataclasses.fields(of) if f.metadata}
+        self.fields = {f.metadata["word"] or f.name: f for f in dataclasses.fields(of) if f.metadata}
         self.keys: dict[str, Kind] = {name: f.metadata["kind"] for name, f in self.fields.items()}
 
     def read(self, value: Any) -> Any:
@@ -29,7 +30,7 @@ class Table:
                     f'the key "{name}" is missing: {self.fields[name].metadata["meaning"]}; '
                     f"allowed: {self.keys[name].allowed()}"
                 )
-        table = self.of(**values)
+        table = self.of(**{self.fields[name].name: entry for name, entry in values.items()})
         if hasattr(table, "check"):
             table.check(set(values))
         return table

@@ -58,14 +58,18 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
 
 def _supports(shell: Shell, sewing: sp.csr_matrix) -> Supports:
     """Those that move, with what is sewn to them: where several meet, it moves as their mean."""
-    moving = np.flatnonzero((shell.motion * shell.fixed).any(axis=1))
+    displaced = np.flatnonzero((shell.motion * shell.fixed).any(axis=1))
+    moving = np.unique(np.concatenate([displaced, *(vertices for vertices, _ in shell.moves)]))
     fixed = shell.fixed.astype(float)
     share = sewing.T @ fixed
     along = sp.kron(sewing, sp.identity(3), format="csr")
     mean = sp.diags((1.0 / np.where(share > 0.0, share, 1.0)).ravel()) @ along.T @ sp.diags(fixed.ravel())
     carry = (along @ mean).tocsc()[:, (3 * moving[:, None] + np.arange(3)).ravel()].tocoo()
     size = (3 * len(shell.points) + len(shell.topology.edges), 3 * len(moving))
-    motions = [(np.arange(len(moving)), Motion(displacement=shell.motion[moving]))] if len(moving) else []
+    motions = [(np.searchsorted(moving, vertices), motion) for vertices, motion in shell.moves]
+    if len(displaced):
+        along_path = Motion(displacement=shell.motion[displaced])
+        motions.append((np.searchsorted(moving, displaced), along_path))
     return Supports(
         shell.points[moving], motions, sp.csr_matrix((carry.data, (carry.row, carry.col)), shape=size)
     )

@@ -175,6 +175,26 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     }
 
 
+def contact_work(problem: Problem, y: PETSc.Vec, way: np.ndarray, before: np.ndarray) -> dict[str, float]:
+    """Of the reactions at y over the vertices' way (n, 3) m since they were at `before` (n, 3) m (J): friction and
+    impact, what tangential and normal reactions dissipate over the way relative to their partner; obstacles, what
+    these work by moving; total, on the shell."""
+    contact, found = contact_of(problem), np.zeros(4)
+    for pairs in contact.pairs(problem.positions(y), problem.time):
+        partner, index = contact.partners[pairs.index], pairs.index
+        normal, tangential = contact.project(pairs)
+        _, moved = pairs.motion(partner.gather(way))
+        force, carried = normal[:, None] * pairs.gradient, np.zeros_like(moved)
+        if index < len(contact.obstacles):
+            start = before[pairs.row]
+            carried = contact.obstacles[index].carry(start, contact.history.time, problem.time) - start
+        own, relative = contact.counted(pairs), moved - carried
+        parts = (-(tangential * relative), -(force * relative), (force + tangential) * carried)
+        works = np.array([part[own].sum() for part in parts])
+        found += [*works, works[2] - works[0] - works[1]]
+    return dict(zip(("friction", "impact", "obstacles", "total"), problem.comm.allreduce(found), strict=True))
+
+
 def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.ndarray) -> bool:
     """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
     present one, leads a vertex through an obstacle."""

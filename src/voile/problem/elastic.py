@@ -14,22 +14,41 @@ SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
 
 
 class Elastic(Term):
-    """The energy of a model, by its kernel; flat: the rest shape has no folds. `seconds`: spent in it, and in what goes
-    into the matrix with it."""
+    """The energy of a model, by its kernel; flat: the rest shape has no folds. `stiffness`: a factor on it, 1 but while
+    a step in time is damped. `seconds`: spent in it, and in what goes into the matrix with it."""
 
     def __init__(self, part: Part, model: str, flat: bool):
         self.part, self.model, self.flat = part, model, flat
-        self.seconds = 0.0
+        self.seconds, self.stiffness = 0.0, 1.0
         self.count_from(part.points)
 
     def count_from(self, start: np.ndarray) -> None:
         """Displacements count from `start` (local vertices, 3) m."""
         self.kernel = make_kernel(self.part, self.model, start, self.flat)
+        if self.stiffness != 1.0:
+            self._stiffen()
 
     def set_rest(self, flat: bool) -> None:
         """Takes the part's present rest shape."""
         self.flat = flat
         self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
+
+    @contextmanager
+    def stiffened(self, factor: float) -> Iterator[None]:
+        """Its energy is a multiple meanwhile."""
+        self.stiffness = factor
+        self._stiffen()
+        try:
+            yield
+        finally:
+            self.stiffness = 1.0
+            self._stiffen()
+
+    def _stiffen(self) -> None:
+        thickness, young, poisson = self.part.fabric[:3]
+        self.kernel.set_fabric(
+            np.ascontiguousarray(thickness), self.stiffness * young, np.ascontiguousarray(poisson)
+        )
 
     @contextmanager
     def timed(self) -> Iterator[None]:
@@ -53,13 +72,20 @@ class Elastic(Term):
         self.kernel.hessian(at.u, at.phi, kind, scatter)
 
     def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
-        """None on which a hinge turns through 180 degrees; 0 where even a millionth does."""
+        """None on which a hinge turns through 180 degrees or that ends beyond a barrier of the model; 0 where even a
+        millionth does."""
         du, dphi = step[: len(at.u)], step[len(at.u) :]
-        while self.kernel.folds_over(at.u, at.phi, at.u + most * du, at.phi + most * dphi):
+        while not self._admits(at, at.u + most * du, at.phi + most * dphi):
             most *= 0.5
             if most < SHORTEST:
                 return 0.0
         return most
+
+    def _admits(self, at: Point, u: np.ndarray, phi: np.ndarray) -> bool:
+        """Whether the way to displacements u and director angles phi is one."""
+        return not self.kernel.folds_over(at.u, at.phi, u, phi) and bool(
+            np.isfinite(sum(self.kernel.energy(u, phi)))
+        )
 
 
 def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kernels.Elastic:

@@ -28,7 +28,7 @@ class Supports:
             return np.zeros(self.carry.shape[0])
         moved = np.zeros_like(self.points)
         for rows, motion in self.motions:
-            moved[rows] = motion.between(self.points[rows], start, end)
+            moved[rows] += motion.between(self.points[rows], start, end)
         return self.carry @ moved.ravel()
 
     def of(self, dofs: np.ndarray) -> "Supports":

@@ -11,17 +11,18 @@ from voile.problem.terms import Point, Term
 @dataclass
 class Inertia(Term):
     """coefficient/2 |x - predicted|^2_M. mass (local vertices,) kg, lumped; own (local vertices,) marks those counted
-    here; coefficient (1/s^2) and predicted (local vertices, 3) m are the scheme's. Over the unknowns the mass is
-    C^T M C. Directors have none: they follow at every instant."""
+    here; coefficient (1/s^2, one or (local vertices, 3)) and predicted (local vertices, 3) m are the scheme's. Over the
+    unknowns the mass is C^T M C. Directors have none: they follow at every instant."""
 
+    name = "inertia"
     mass: np.ndarray
     own: np.ndarray
-    coefficient: float
+    coefficient: float | np.ndarray
     predicted: np.ndarray
 
     def energies(self, at: Point) -> dict[str, float]:
-        away = ((at.positions - self.predicted) ** 2).sum(axis=1)
-        return {"inertia": 0.5 * self.coefficient * float((self.mass * away)[self.own].sum())}
+        away = (self.coefficient * (at.positions - self.predicted) ** 2).sum(axis=1)
+        return {self.name: 0.5 * float((self.mass * away)[self.own].sum())}
 
     def forces(self, at: Point) -> np.ndarray:
         return at.over_dofs(self.coefficient * self.mass[:, None] * (self.predicted - at.positions))
@@ -30,7 +31,8 @@ class Inertia(Term):
         yield mass_blocks(self.mass, self.coefficient)
 
 
-def mass_blocks(mass: np.ndarray, coefficient: float) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices with mass (kg) and coefficient times it, (p, 3, 3)."""
+def mass_blocks(mass: np.ndarray, coefficient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices with mass (kg) and coefficient (one or (n, 3)) times it, (p, 3, 3)."""
     vertex = np.flatnonzero(mass)
-    return vertex, coefficient * mass[vertex, None, None] * np.eye(3)
+    scaled = (coefficient * mass[:, None])[vertex]
+    return vertex, scaled[:, :, None] * np.eye(3)

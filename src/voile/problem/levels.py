@@ -4,6 +4,8 @@ Half edges are collapsed (src/cpp/coarsen.hpp), so coarse vertices are fine ones
 picking. Borders, cuts, fabrics, clamps, supports and seams keep their places.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
@@ -222,7 +224,7 @@ class _Seams:
         still[self.hang[~along]] = True
         return still
 
-    def records(self, number: np.ndarray, hang: np.ndarray, weight: np.ndarray) -> dict[str, np.ndarray]:
+    def records(self, number: np.ndarray, hang: np.ndarray, weight: np.ndarray) -> dict[str, Any]:
         """Stitches of the coarse shell. number (n,): its vertices, -1 where one is gone."""
         one = np.flatnonzero((self.label != np.arange(len(self.label))) & (number >= 0))
         root = self.label[one]

@@ -1,6 +1,8 @@
 """The law of a load in time; statics take their load factor for the time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -9,3 +11,14 @@ class Load:
 
     def factor(self, t: float) -> float:
         return t
+
+
+@dataclass(frozen=True)
+class History(Load):
+    """Factors (k,) at times (k,) s, linear between and constant beyond; by default 1 throughout."""
+
+    times: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    factors: np.ndarray = field(default_factory=lambda: np.ones(1))
+
+    def factor(self, t: float) -> float:
+        return float(np.interp(t, self.times, self.factors))

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import Load
@@ -25,6 +26,7 @@ class Shell:
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
     weight x_second. Loads at time 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    moves: further motions of supports, of which vertices, along their Dirichlet axes.
     load_laws in time, by problem.loads.LOADS: in proportion to it where there is none.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
     seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
@@ -51,6 +53,7 @@ class Shell:
     pressure: float = 0.0
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
+    moves: tuple[tuple[np.ndarray, Motion], ...] = ()
     load_laws: dict[str, Load] = field(default_factory=dict)
     closing: np.ndarray | None = None
     seam_bending: bool = False

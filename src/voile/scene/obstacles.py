@@ -6,18 +6,8 @@ from typing import Any, ClassVar
 
 from voile.contact.obstacles import SHAPES
 from voile.contact.obstacles import Obstacle as Shape
-from voile.keys import Choice, Number, Rejected, Table, Vector3, key, vector
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyMove:
-    displacement: Vector3 = key(
-        vector("m"), "displacement reached at the end of the load path", default=(0.0, 0.0, 0.0)
-    )
-    rotation: Vector3 = key(
-        vector("rad"), "rotation vector reached at the end of the load path", default=(0.0, 0.0, 0.0)
-    )
-    center: Vector3 = key(vector("m"), "point about which the body rotates", default=(0.0, 0.0, 0.0))
+from voile.keys import Choice, Number, Rejected, Table, key
+from voile.scene.moves import Move
 
 
 def _required(shape: type[Shape]) -> list[str]:
@@ -31,7 +21,10 @@ class Body:
 
     shape: str = key(Choice(*SHAPES), "shape; the keys of its geometry are required: see the other keys")
     friction: float = key(Number(least=0), "Coulomb's coefficient of friction", default=0.0)
-    move: BodyMove | None = key(Table(BodyMove), "prescribed rigid motion", default=None)
+    restitution: float = key(
+        Number(least=0, most=1), "moreau-jean: speed after an impact over that before", default=0.0
+    )
+    move: Move | None = key(Table(Move), "prescribed rigid motion", default=None)
 
     SCHEMA: ClassVar[dict[str, Any]] = {
         "allOf": [

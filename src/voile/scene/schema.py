@@ -28,6 +28,7 @@ from voile.keys import (
     key,
     vector,
 )
+from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Output, Statics
 
@@ -80,6 +81,13 @@ class Shell:
         default=False,
     )
     seams: bool = key(Boolean(), "sew the mesh's stitch records", default=True)
+    velocity: Vector3 = key(vector("m/s"), "dynamics: velocity at the start", default=(0.0, 0.0, 0.0))
+    angular_velocity: Vector3 = key(
+        vector("rad/s"), "dynamics: rotation at the start, about angular_center", default=(0.0, 0.0, 0.0)
+    )
+    angular_center: Vector3 = key(
+        vector("m"), "point about which the shell rotates at the start", default=(0.0, 0.0, 0.0)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,13 +115,24 @@ class Moment:
 class Loads:
     gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
     pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
+    wind: Vector3 = key(vector("m/s"), "dynamics: velocity of the air", default=(0.0, 0.0, 0.0))
+    drag: float = key(
+        Number("kg/m^3", least=0),
+        "dynamics: force per area over the square of the air's normal velocity, relative to the shell",
+        default=0.0,
+    )
+    history: tuple[tuple[float, ...], ...] = key(
+        Array(Array(Number(), length=2)),
+        "dynamics: (t, factor) on gravity, pressure, forces and moments, linear between",
+        default=(),
+    )
     force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
     moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
 
-
-@dataclass(frozen=True, kw_only=True)
-class Move:
-    displacement: Vector3 = key(vector("m"), "displacement reached at the end of the load path")
+    def check(self, given: set[str]) -> None:
+        for index, row in enumerate(self.history):
+            if index and row[0] <= self.history[index - 1][0]:
+                raise Rejected(f"t = {row[0]:g} s is not after the time before", ("history", index))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,13 +147,17 @@ class Fix:
     move: Move | None = key(Table(Move), "prescribed motion along the held axes", default=None)
 
     def check(self, given: set[str]) -> None:
-        for axis, part in zip("xyz", self.move.displacement if self.move else (), strict=False):
-            if part != 0.0 and axis not in self.axes:
-                raise Rejected(
-                    f'{part:g} m along {axis}, but axes = "{self.axes}" leaves {axis} free; '
-                    "allowed: motion along the held axes",
-                    ("move", "displacement"),
-                )
+        move = self.move
+        for name, unit in (("displacement", "m"), ("velocity", "m/s")) if move else ():
+            for axis, part in zip("xyz", getattr(move, name), strict=True):
+                if part != 0.0 and axis not in self.axes:
+                    raise Rejected(
+                        f'{part:g} {unit} along {axis}, but axes = "{self.axes}" leaves {axis} free; '
+                        "allowed: motion along the held axes",
+                        ("move", name),
+                    )
+        if move and (move.path or any(move.rotation) or any(move.angular_velocity)) and len(self.axes) < 3:
+            raise Rejected(f'axes = "{self.axes}"; allowed with a rotation or a path: "xyz"', ("move",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +217,20 @@ class Scene:
                             "the target is where all motion has ended; allowed with task = inverse: no move",
                             (table, index, "move"),
                         )
+        if self.scene.task != "dynamics":
+            for table in ("fix", "obstacle"):
+                for index, each in enumerate(getattr(self, table)):
+                    if each.move and each.move.in_time:
+                        raise Rejected(
+                            "allowed without task = dynamics: displacement, rotation, center",
+                            (table, index, "move"),
+                        )
+        rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
+        if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
+            raise Rejected(
+                'allowed above 0 with task = dynamics and dynamics.scheme = "moreau-jean" only',
+                ("obstacle", rebounds[0], "restitution"),
+            )
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:

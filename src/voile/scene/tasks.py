@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from voile.keys import Array, Boolean, Choice, File, Integer, Number, Rejected, key
+from voile.keys import Array, Boolean, Choice, File, Integer, Number, Rejected, Table, key
 
 TASKS = {
     "statics": True,
-    "dynamics": False,
+    "dynamics": True,
     "inverse": True,
     "modes": False,
 }  # whether this version runs them
@@ -34,14 +34,43 @@ class Statics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Damping:
+    mass: float = key(Number("1/s", least=0), "force per momentum", default=0.0)
+    stiffness: float = key(Number("s", least=0), "force per rate of the elastic force", default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Dynamics:
     scheme: str = key(
-        Choice("implicit-euler", "bdf2", "generalized-alpha", "projective"),
+        Choice("implicit-euler", "bdf2", "generalized-alpha", "moreau-jean"),
         "time scheme",
         default="implicit-euler",
     )
-    time_step: float = key(Number("s", above=0), "time step", default=0.01)
+    time_step: float = key(Number("s", above=0), "time step; adaptive: the longest", default=0.01)
     duration: float = key(Number("s", above=0), "simulated time", default=1.0)
+    solver: str = key(
+        Choice("newton", "local-global"),
+        "what solves a step; local-global: Projective Dynamics with dry friction, for shell.model = projective",
+        default="newton",
+    )
+    tolerance: float = key(
+        Number(above=0, below=1), "norm of each step's residual over the norm of the load", default=1e-6
+    )
+    iterations: int = key(Integer(1), "local-global: iterations of a step at most", default=20)
+    adaptive: bool = key(Boolean(), "choose steps by their local error", default=False)
+    accuracy: float = key(
+        Number(above=0, below=1), "adaptive: local error of a step, in sizes of the shell", default=1e-3
+    )
+    spectral_radius: float = key(
+        Number(least=0, most=1), "generalized-alpha: that of its highest frequencies", default=0.8
+    )
+    theta: float = key(
+        Number(least=0.5, most=1), "moreau-jean: weight of the forces at the step's end", default=1.0
+    )
+    damping: Damping = key(Table(Damping), "Rayleigh damping", default=Damping())
+    stop_at_rest: float = key(
+        Number("m/s", least=0), "ends the run once nothing is faster; 0: never", default=0.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ from voile.solver.methods.mixed_newton import Options as MixedOptions
 from voile.solver.methods.off_saddle import OffSaddle
 from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
 from voile.solver.methods.semismooth import Semismooth, law_norms
-from voile.solver.methods.steps import sharpened
+from voile.solver.methods.steps import Sharpened
 from voile.solver.methods.tied import Tied
 from voile.solver.nested import Nested, pays
 from voile.solver.path import StaticsOptions
@@ -137,14 +137,3 @@ class Minimum:
         """See Method."""
         perturb(problem, y, self.perturbation)
         return self.descent.solve(problem, y, tolerance)
-
-
-class Sharpened:
-    """A method without contact, to round-off."""
-
-    def __init__(self, method: Method, newton: MixedNewton | Descent):
-        self.method, self.newton = method, newton
-
-    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
-        """See Method."""
-        return sharpened(self.method.solve, self.newton, problem, y, tolerance)

@@ -64,6 +64,21 @@ class Path:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
+    def last(self) -> LoadStep | None:
+        """Its last step."""
+        return self.steps[-1] if self.steps else None
+
+    @property
+    def count(self) -> int:
+        """Steps done."""
+        return len(self.steps)
+
+    @property
+    def methods(self) -> list[str]:
+        """Which found each step."""
+        return [step.method for step in self.steps]
+
+    @property
     def newton_iterations(self) -> int:
         """Those of all methods, failed attempts included."""
         return self.counts.iterations

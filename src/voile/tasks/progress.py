@@ -10,6 +10,7 @@ class Progress:
     QUIET = 5.0  # s between lines of a batch log
 
     def __init__(self, comm):
+        self.parameter = "load"  # what problems are at
         self.quiet = comm.rank != 0
         self.live = sys.stdout.isatty() and comm.size == 1  # mpirun lends its ranks a terminal
         self.began = self.last = time.perf_counter()
@@ -26,9 +27,26 @@ class Progress:
             return
         self.last = now
         text = (
-            f"load {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  {now - self.began:.1f} s"
+            f"{self.parameter} {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  "
+            f"{now - self.began:.1f} s"
         )
         print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
+
+    def time_step(self, step, duration: float) -> None:
+        """One step in time, at most one line a while but for the last."""
+        now = time.perf_counter()
+        if self.quiet or (step.time < duration and now - self.last < (0.1 if self.live else self.QUIET)):
+            return
+        self.last, speed = now, step.time / (now - self.began)
+        text = (
+            f"time {step.time:.4g} of {duration:.4g} s  step {step.length:.2e} s  Newton {step.iterations}  residual "
+            f"{step.residual:.2e} N (<= {step.tolerance:.2e})  fastest {step.speed:.3g} m/s  {_touching(step)}"
+            f"{speed:.3g} s/s, {(duration - step.time) / speed:.0f} s to go"
+        )
+        if self.live and step.time < duration:
+            print(f"\r\033[K{text}", end="", flush=True)
+        else:
+            self.line(text)
 
     def fraction(self, step) -> None:
         """One step of the rest shape's continuation."""

@@ -32,6 +32,7 @@ from voile.scene import Scene
 from voile.solver.path import LoadStep
 from voile.solver.path import Path as LoadPath
 from voile.solver.sewing import sew
+from voile.solver.stepping.time_path import TimePath
 from voile.tasks.progress import Progress
 from voile.wiring import Model, static_mesh
 
@@ -113,21 +114,24 @@ class Run:
             yield writer
 
     def summarise(
-        self, problem: Problem, path: LoadPath, seconds: dict[str, float] | None = None, **more: Any
+        self,
+        problem: Problem,
+        path: LoadPath | TimePath,
+        seconds: dict[str, float] | None = None,
+        **more: Any,
     ) -> None:
         """summary.json of a run whose last simulation is `path`. seconds: what took how long beside; more: further
         figures, and others in place of the path's own."""
         if self.model is None:
             return
-        last = path.steps[-1] if path.steps else None
+        last = path.last
         seconds = {**problem.seconds, **path.seconds, "input_output": self.writing, **(seconds or {})}
         summary = {
             "converged": path.converged,
             "reason": path.reason,
             **self._about(),
             "dofs": problem.unknowns,
-            "steps": len(path.steps),
-            "load_factor": last.factor if last else 0.0,
+            "steps": path.count,
             "newton_iterations": path.newton_iterations,
             "linear_solves": path.counts.solves,
             "factorisations": path.counts.factorisations,
@@ -135,16 +139,13 @@ class Run:
             "residual_tolerance": last.tolerance if last else None,
             "energy": last.energies if last else {},
             "contact": (last.contact if last else None) or NO_CONTACT,
-            "method": [step.method for step in path.steps],
-            "stable": path.stable,
-            "smallest_eigenvalue": path.smallest_eigenvalue,
+            "method": path.methods,
+            **(_of_statics(path) if isinstance(path, LoadPath) else {}),
             "wall_time_s": {**seconds, "total": time.perf_counter() - self.began},
             "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
             "ranks": problem.comm.size,
             **more,
         }
-        value = summary["smallest_eigenvalue"]
-        summary["smallest_eigenvalue"] = None if value is None or math.isnan(value) else value
         write_summary(self.folder / "summary.json", summary)
 
     def refuse(self, reason: str) -> None:
@@ -166,6 +167,16 @@ class Run:
             "modelled": [name for name, keep, _ in modelled(self.scene, self.model) if keep],
             "notes": self.model.notes,
         }
+
+
+def _of_statics(path: LoadPath) -> dict[str, Any]:
+    """What only a load path has."""
+    value = path.smallest_eigenvalue
+    return {
+        "load_factor": path.last.factor if path.last else 0.0,
+        "stable": path.stable,
+        "smallest_eigenvalue": None if value is None or math.isnan(value) else value,
+    }
 
 
 class Steps:

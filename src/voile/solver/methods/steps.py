@@ -10,7 +10,7 @@ from petsc4py import PETSc
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.solver.linear import LinearSolver
-from voile.solver.methods.method import NOT_FINITE, Nonlinear, Outcome, Workspace
+from voile.solver.methods.method import NOT_FINITE, Method, Nonlinear, Outcome, Workspace
 
 WORTH = 100.0  # tolerances: a residual that round-off leaves above is no equilibrium worth the name
 REACH = 0.2  # longest full step: displacement over the size of the shell
@@ -108,6 +108,17 @@ def sharpened(run: Run, newton: Stalling, problem: Problem, y: PETSc.Vec, tolera
     outcome = run(problem, y, tolerance)
     reason = to_round_off(problem, y, newton.nonlinear.norm, tolerance) if newton.stalled else ""
     return Outcome(True, outcome.method, reason) if reason else outcome
+
+
+class Sharpened:
+    """A method without contact, to round-off."""
+
+    def __init__(self, method: Method, newton: Stalling):
+        self.method, self.newton = method, newton
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        return sharpened(self.method.solve, self.newton, problem, y, tolerance)
 
 
 @dataclass

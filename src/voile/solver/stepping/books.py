@@ -1,0 +1,133 @@
+"""Where energy goes in time: what a step's forces work over h (v_n + v_n+1) / 2.
+
+Over that way the inertia works exactly the change of the kinetic energy in implicit Euler's steps, impacts included.
+What the other parts differ from the change of their energies is the scheme's own dissipation. The books close but for
+the work of the residual.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_work
+from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
+from voile.problem.terms import Point, Term
+from voile.solver.stepping.schemes import Kinematics, Prediction
+
+TOTALS = (
+    "friction_dissipated",
+    "impact_dissipated",
+    "damping_dissipated",
+    "scheme_dissipated",
+    "supports_work",
+    "obstacles_work",
+    "loads_work",
+)
+
+
+@dataclass
+class Ended:
+    """A step that ended at the unknowns y of a problem: over h (s), from the point and with the velocities before to
+    the kinematics after; resisting: the terms that depend on velocities, dead: the force (dofs,) N of stiffness
+    damping."""
+
+    problem: Problem
+    y: PETSc.Vec
+    h: float
+    start: Point
+    before: Kinematics
+    after: Kinematics
+    prediction: Prediction
+    resisting: list[Term]
+    stiffness: float = 0.0
+    stress: np.ndarray | None = None
+
+
+@dataclass
+class Books:
+    """Energies now and what has been dissipated and worked so far (J), by name: those of TOTALS add up. `error`: by how
+    much the books do not close."""
+
+    problem: Problem
+    totals: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOTALS, 0.0))
+    error: float = 0.0
+
+    def kinetic(self, k: Kinematics) -> float:
+        """J."""
+        square = (k.velocity**2).sum(axis=1)
+        return 0.5 * self._sum(self.problem.vertex_mass() * square)
+
+    def momenta(self, k: Kinematics) -> tuple[np.ndarray, np.ndarray]:
+        """Momentum (3,) kg m/s and angular momentum about the origin (3,) kg m^2/s."""
+        own = self.problem.own
+        p = self.problem.vertex_mass()[own, None] * k.velocity[own]
+        both = np.concatenate([p.sum(axis=0), np.cross(k.positions[own], p).sum(axis=0)])
+        both = self.problem.comm.allreduce(both)
+        return both[:3], both[3:]
+
+    def enter(self, step: Ended) -> None:
+        """Books a step."""
+        problem, at = step.problem, step.problem.point(step.y)
+        way = 0.5 * step.h * (step.before.velocity + step.after.velocity)
+        inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
+        elastic, loads = problem.elastic.forces(at), problem.loads.forces(at)
+        damping = sum((term.forces(at) for term in step.resisting), np.zeros_like(loads))
+        if step.stress is not None:
+            damping += step.stiffness * (elastic - step.stress)
+        work = {
+            name: self._work(force, way)
+            for name, force in (("elastic", elastic), ("loads", loads), ("damping", damping))
+        }
+        moved = self._sum((inertia * way).sum(axis=1))
+        gained = self.kinetic(step.after) - self.kinetic(step.before)
+        stored = self._elastic(at) - self._elastic(step.start)
+        given, potential = work["loads"], -work["loads"]
+        if problem.conservative:
+            late = replace(step.start, time=at.time)
+            given = self._loads(late) - self._loads(step.start)
+            potential = self._loads(at) - self._loads(late)
+        contact = dict.fromkeys(("friction", "impact", "obstacles", "total"), 0.0)
+        if problem.contact:
+            contact = contact_work(problem, step.y, way, step.before.positions)
+        missed = self._residual_work(step, way, inertia, elastic + loads + damping)
+        entries = {
+            "friction_dissipated": contact["friction"],
+            "impact_dissipated": contact["impact"],
+            "damping_dissipated": -work["damping"],
+            "scheme_dissipated": (moved - gained)
+            - (work["elastic"] + stored)
+            - (work["loads"] + potential if problem.conservative else 0.0),
+            "supports_work": moved - sum(work.values()) - contact["total"] - missed,
+            "obstacles_work": contact["obstacles"],
+            "loads_work": given,
+        }
+        for name, value in entries.items():
+            self.totals[name] += value
+        self.error += missed
+
+    def _residual_work(self, step: Ended, way: np.ndarray, inertia: np.ndarray, forces: np.ndarray) -> float:
+        """Of the residual over the way of what is free (J)."""
+        problem = step.problem
+        reactions = np.zeros_like(inertia)
+        if problem.contact:
+            reactions = problem.contact.force(step.after.positions, problem.time, frozen=False)
+        dofs = np.concatenate([(inertia - reactions).ravel(), np.zeros(len(problem.part.edge))]) - forces
+        residual, free = problem.create_vector(), field_vector(problem, way)
+        residual.array[:] = problem.layout.collect(dofs)
+        return float(residual.dot(free))
+
+    def _work(self, force: np.ndarray, way: np.ndarray) -> float:
+        """Of a force (dofs,) N over the vertices' way (n, 3) m."""
+        return self._sum((force[: way.size].reshape(-1, 3) * way).sum(axis=1))
+
+    def _sum(self, values: np.ndarray) -> float:
+        """Over all vertices."""
+        return float(self.problem.comm.allreduce(float(values[self.problem.own].sum())))
+
+    def _elastic(self, at: Point) -> float:
+        return float(self.problem.comm.allreduce(sum(self.problem.elastic.energies(at).values())))
+
+    def _loads(self, at: Point) -> float:
+        return float(self.problem.comm.allreduce(sum(self.problem.loads.energies(at).values())))

@@ -1,0 +1,72 @@
+"""Newton's method for a step in time, from its predicted positions.
+
+Inertia makes a step's equations well-conditioned: without contact mixed Newton steps solve it, with contact and
+friction the semismooth method. Where steps are long and those fail, a minimum of the step's potential is looked for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.problem import Problem
+from voile.solver.cascade import Cascade
+from voile.solver.linear import Counts
+from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
+from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.method import Method, Outcome, Workspace
+from voile.solver.methods.mixed_newton import MixedNewton
+from voile.solver.methods.semismooth import Semismooth, law_norms
+from voile.solver.methods.steps import Sharpened
+
+
+@dataclass
+class Options:
+    """sharp: of the tolerance, at which a guess is the step's end."""
+
+    sharp: float = 0.01
+
+
+class NewtonStep:
+    """A method for the problems of steps, which have an inertia term."""
+
+    def __init__(self, problem: Problem, options: Options | None = None):
+        self.work, self.options = Workspace(problem), options or Options()
+        descent, methods = Descent(self.work), list[Method]()
+        if problem.contact:
+            semismooth = Semismooth(self.work)
+            firm = AugmentedLagrangian(descent, semismooth, 0.0, LagrangianOptions(softest=1.0))
+            methods = [semismooth, firm]
+        else:
+            mixed = MixedNewton(self.work)
+            methods = [Sharpened(mixed, mixed), Sharpened(descent, descent)]
+        self.cascade = Cascade(methods)
+
+    @property
+    def counts(self) -> Counts:
+        """Of its linear algebra."""
+        return self.work.counts
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method. A guess that is far better than the tolerance, as in free flight, is taken as it is."""
+        if problem.contact:
+            norm = float(np.hypot(*law_norms(problem, y, y.duplicate(), tolerance)))
+            if norm <= self.options.sharp * tolerance:
+                return Outcome(True, "prediction", norm=norm)
+        factored = self.counts.factorisations
+        outcome = self.cascade.solve(problem, y, tolerance)
+        if outcome.converged and not problem.contact and self.counts.factorisations > factored:
+            self._polish(problem, y)
+        return outcome
+
+    def _polish(self, problem: Problem, y: PETSc.Vec) -> None:
+        """One more correction with the last factor, which costs little and lets the books close."""
+        residual, step = problem.create_vector(), y.duplicate()
+        problem.residual(y, residual)
+        norm = residual.norm()
+        self.work.symmetric.solve(residual, step)
+        y.axpy(-1.0, step)
+        problem.residual(y, residual)
+        if not residual.norm() < norm:
+            y.axpy(1.0, step)

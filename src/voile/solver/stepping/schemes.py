@@ -1,0 +1,172 @@
+"""Time schemes: what each makes of a step, as an inertia term and an update.
+
+A step from t_n over h solves coefficient M (x - predicted) = F(x) + r for the positions x at its end, r the contacts'
+reactions; then v = rate (x - still) and a = coefficient (x - predicted). Where a contact bears or a support moves,
+velocities jump: there every scheme is implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """Of the local vertices, (n, 3) each: positions (m), velocity (m/s), acceleration (m/s^2) at a time; driven: the
+    acceleration by all forces but contact's; filtered: that of generalised-alpha; before: the step before."""
+
+    positions: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    driven: np.ndarray
+    filtered: np.ndarray
+    before: "Before | None" = None
+
+
+@dataclass(frozen=True)
+class Before:
+    """Positions (n, 3) m and velocity (n, 3) m/s one step (s) ago."""
+
+    positions: np.ndarray
+    velocity: np.ndarray
+    step: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity.
+    Coefficient and rate: one, or (n, 3)."""
+
+    coefficient: float | np.ndarray
+    predicted: np.ndarray
+    rate: float | np.ndarray
+    still: np.ndarray
+
+    def where(self, chosen: np.ndarray, other: "Prediction") -> "Prediction":
+        """The other one for the chosen (n, 3) components."""
+        return Prediction(
+            np.where(chosen, other.coefficient, self.coefficient),
+            np.where(chosen, other.predicted, self.predicted),
+            np.where(chosen, other.rate, self.rate),
+            np.where(chosen, other.still, self.still),
+        )
+
+    def velocity(self, x: np.ndarray) -> np.ndarray:
+        """(n, 3) m/s at the step's end, if that is at x."""
+        return self.rate * (x - self.still)
+
+    def acceleration(self, x: np.ndarray) -> np.ndarray:
+        """(n, 3) m/s^2."""
+        return self.coefficient * (x - self.predicted)
+
+
+class Scheme:
+    """What a scheme makes of the step over h (s) from k."""
+
+    @property
+    def memory(self) -> bool:
+        """Whether its first step needs the acceleration at the start."""
+        return False
+
+    def predict(self, k: Kinematics, h: float) -> Prediction:
+        """The step's inertia."""
+        raise NotImplementedError
+
+    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray, push: np.ndarray) -> Kinematics:
+        """After the step to positions x (n, 3); push (n, 3) m/s^2: contact's reactions over the masses."""
+        acceleration, before = p.acceleration(x), Before(k.positions, k.velocity, h)
+        return Kinematics(x, p.velocity(x), acceleration, acceleration - push, acceleration, before)
+
+
+@dataclass(frozen=True)
+class ImplicitEuler(Scheme):
+    """First order; dissipates."""
+
+    def predict(self, k: Kinematics, h: float) -> Prediction:
+        return Prediction(1.0 / h**2, k.positions + h * k.velocity, 1.0 / h, k.positions)
+
+
+@dataclass(frozen=True)
+class Bdf2(Scheme):
+    """Second order, with steps of any lengths; the first one is implicit Euler's."""
+
+    def predict(self, k: Kinematics, h: float) -> Prediction:
+        if k.before is None:
+            return ImplicitEuler().predict(k, h)
+        w = h / k.before.step
+        rate = (1.0 + 2.0 * w) / (h * (1.0 + w))
+        now, then = (1.0 + w) ** 2 / (1.0 + 2.0 * w), -(w**2) / (1.0 + 2.0 * w)
+        still = now * k.positions + then * k.before.positions
+        steady = now * k.velocity + then * k.before.velocity
+        return Prediction(rate**2, still + steady / rate, rate, still)
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha(Scheme):
+    """Second order with the balance at the step's end (Arnold & Bruels 2007); spectral_radius (0 to 1) of its highest
+    frequencies. The filtered acceleration b obeys (1 - alpha_m) b + alpha_m b_n = (1 - alpha_f) a + alpha_f a_n."""
+
+    spectral_radius: float
+
+    @property
+    def memory(self) -> bool:
+        return True
+
+    @property
+    def _alphas(self) -> tuple[float, float, float, float]:
+        """alpha_m, alpha_f, beta, gamma (Chung & Hulbert 1993)."""
+        rho = self.spectral_radius
+        m, f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        gamma = 0.5 + f - m
+        return m, f, 0.25 * (gamma + 0.5) ** 2, gamma
+
+    def predict(self, k: Kinematics, h: float) -> Prediction:
+        m, f, beta, gamma = self._alphas
+        coefficient = (1.0 - m) / ((1.0 - f) * beta * h**2)
+        explicit = k.positions + h * k.velocity + h**2 * (0.5 - beta) * k.filtered
+        shift = beta * h**2 / (1.0 - m) * (f * k.acceleration - m * k.filtered)
+        rate = gamma / (beta * h)
+        steady = k.velocity + h * (1.0 - gamma) * k.filtered
+        return Prediction(coefficient, explicit + shift, rate, explicit - steady / rate)
+
+    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray, push: np.ndarray) -> Kinematics:
+        m, f, _, _ = self._alphas
+        acceleration = p.acceleration(x)
+        filtered = ((1.0 - f) * acceleration + f * k.acceleration - m * k.filtered) / (1.0 - m)
+        return replace(super().update(k, h, p, x, push), filtered=filtered)
+
+
+@dataclass(frozen=True)
+class MoreauJean(Scheme):
+    """M (v - v_n) = h (theta F + (1 - theta) F_n) + impulses of contact; x - x_n = h (theta v + (1 - theta) v_n)
+    (Moreau 1988; Jean 1999). First order, second for theta = 1/2 without contact."""
+
+    theta: float
+
+    @property
+    def memory(self) -> bool:
+        return self.theta < 1.0
+
+    def predict(self, k: Kinematics, h: float) -> Prediction:
+        theta = self.theta
+        coefficient = 1.0 / (h * theta) ** 2
+        predicted = k.positions + h * k.velocity + (1.0 - theta) / theta / coefficient * k.driven
+        still = k.positions + h * (1.0 - theta) * k.velocity
+        return Prediction(coefficient, predicted, 1.0 / (h * theta), still)
+
+
+@dataclass(frozen=True)
+class SchemeOptions:
+    """What schemes can be told: see their classes."""
+
+    spectral_radius: float = 0.8
+    theta: float = 1.0
+
+
+SCHEMES: dict[str, Callable[[SchemeOptions], Scheme]] = {
+    "implicit-euler": lambda _: ImplicitEuler(),
+    "bdf2": lambda _: Bdf2(),
+    "generalized-alpha": lambda asked: GeneralizedAlpha(asked.spectral_radius),
+    "moreau-jean": lambda asked: MoreauJean(asked.theta),
+}

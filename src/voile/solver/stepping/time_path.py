@@ -1,0 +1,320 @@
+"""Paths in time: predict, solve the step, update; a step that fails is cut.
+
+Each step is the problem at its end with an Inertia term. `Problem.contact` remembers where it began, so that friction's
+slip is that of the step, relative to the obstacle.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.problem.contact import contact_report
+from voile.problem.damping import Air, Damping, KelvinVoigt, Viscous, Wind
+from voile.problem.inertia import Inertia
+from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
+from voile.problem.scales import force_floor, slow_rate
+from voile.problem.terms import Term
+from voile.solver.linear import Counts
+from voile.solver.methods.method import Outcome
+from voile.solver.methods.semismooth import law_norms
+from voile.solver.stepping.books import Books, Ended
+from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
+
+
+@dataclass
+class Options:
+    """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
+    last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
+    that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
+    the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
+    positions may err by."""
+
+    cut: float = 0.25
+    smallest: float = 1e-8
+    longer: float = 2.0
+    trial: float = 0.01
+    close: float = 1e-6
+    rest: float = 2.0
+    digits: float = 4.0
+
+
+@dataclass
+class TimeOptions:
+    """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
+    shell; damping: Rayleigh's."""
+
+    scheme: Scheme
+    time_step: float
+    duration: float
+    tolerance: float = 1e-6
+    air: Air | None = None
+    damping: Damping = Damping()
+
+
+class StepSolver(Protocol):
+    """Solves steps: a method whose problem has an Inertia term and, with contact, the step's start in the contact's
+    history. y starts at a guess and ends at the step's end."""
+
+    @property
+    def counts(self) -> Counts:
+        """Of its linear algebra."""
+        ...
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """tolerance: of the residual's norm (N)."""
+        ...
+
+
+@dataclass
+class TimeStep:
+    """One step: its end `time` and length (s), iterations, the residual's norm and its tolerance (N), potential
+    energies (J), contact's figures, method, and the largest speed (m/s) of a vertex at its end."""
+
+    time: float
+    length: float
+    iterations: int
+    residual: float
+    tolerance: float
+    energies: dict[str, float]
+    contact: dict | None
+    method: str
+    speed: float
+
+
+@dataclass
+class TimePath:
+    """The outcome: `state` (unknowns) and kinematics of the last good step, also when `converged` is False."""
+
+    state: PETSc.Vec
+    kinematics: Kinematics
+    books: Books
+    time: float = 0.0
+    converged: bool = False
+    reason: str = ""
+    last: TimeStep | None = None
+    methods: list[str] = field(default_factory=list)
+    counts: Counts = field(default_factory=Counts)
+    attempts: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Steps done."""
+        return len(self.methods)
+
+    @property
+    def newton_iterations(self) -> int:
+        """Those of all methods, failed attempts included."""
+        return self.counts.iterations
+
+
+OnStep = Callable[[TimeStep, TimePath], None]
+
+
+def start_path(problem: Problem, velocity: np.ndarray) -> TimePath:
+    """That of a shell at its start shape with velocities (local vertices, 3) m/s."""
+    y = problem.create_vector()
+    return TimePath(y, start_kinematics(problem, y, velocity), Books(problem))
+
+
+def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Kinematics:
+    """At the unknowns y with velocities (local vertices, 3) m/s of what may move; the first acceleration is not
+    known."""
+    x, none = problem.positions(y), np.zeros_like(velocity)
+    moving = problem.motion(field_vector(problem, velocity))
+    return Kinematics(x, moving, none, none, none)
+
+
+class Stepper:
+    """Follows a problem in time with a step solver; `path` is told of everything."""
+
+    def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
+        self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
+        self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
+        self.length, self.damping = options.time_step, options.damping
+        path.counts = solver.counts
+        self.mass, self.largest = _mean_mass(problem), 0.0
+        self.fall = slow_rate(problem) * problem.size()  # m/s^2
+        self.pushed = np.zeros(len(self.k.positions), dtype=bool)
+        self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
+
+    def follow(self, on_step: OnStep | None = None) -> None:
+        """To the duration; calls on_step after each step."""
+        asked, path = self.asked, self.path
+        if asked.scheme.memory and path.time == 0.0:
+            self._begin()
+        while path.time < asked.duration:
+            h, end = self.length, path.time + self.length
+            if asked.duration - path.time < (1.0 + self.options.close) * h:
+                h, end = asked.duration - path.time, asked.duration
+            path.attempts += 1
+            done, outcome = self._step(asked.scheme, h, end)
+            if done is None:
+                self.length = self.options.cut * h
+                if self.length < self.options.smallest * asked.time_step:
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s"
+                    return
+                continue
+            self.length = min(asked.time_step, max(self.length, self.options.longer * h))
+            path.last, path.time = done, done.time
+            path.methods.append(done.method)
+            self.y.copy(path.state)
+            path.kinematics = self.k
+            if on_step:
+                on_step(done, path)
+        path.converged, path.reason = True, "end of the simulated time"
+
+    def _begin(self) -> None:
+        """The acceleration at the start, of a short trial step, from which director angles are kept."""
+        start, k = self.problem.save(self.y), self.k
+        trial = self.options.trial * self.asked.time_step
+        done, _ = self._step(ImplicitEuler(), trial, trial)
+        if done is not None:
+            a = self.k.acceleration
+            k = replace(k, acceleration=a, driven=self.k.driven, filtered=a)
+        self.problem = self.problem.at(0.0)
+        self.problem.restore(self.y, start)
+        self.k = k
+
+    def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome]:
+        """One step over h (s) to the time `end`; nothing has changed where it fails."""
+        y, k = self.y, self.k
+        start, before = self.problem.save(y), self.solver.counts.iterations
+        began = self.problem.point(y)
+        stress = self.problem.elastic.forces(began) if self.damping.stiffness else None
+        problem = self.problem.at(end)
+        self._begin_contact(problem, scheme, start.time, h)
+        self._guess(problem, scheme.predict(k, h))
+        with problem.elastic.stiffened(1.0 + self.damping.stiffness / h):
+            prediction, step, wanted, outcome = self._solve(problem, scheme, h, stress)
+            residual = _residual(step, y, wanted) if outcome.converged else np.inf
+        self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
+        if problem.contact:
+            self.path.seconds |= {"contact": problem.contact.seconds}
+        if not outcome.converged:
+            problem.restore(y, start)
+            return None, outcome
+        x = problem.positions(y)
+        push = _push(problem, x)
+        self.pushed = push.any(axis=1)
+        self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
+        if scheme is self.asked.scheme:
+            resisting = self._resistance(problem, prediction, k.positions)
+            shares = self.damping.stiffness / h, stress
+            self.path.books.enter(Ended(problem, y, h, began, k, self.k, prediction, resisting, *shares))
+        done = TimeStep(
+            problem.time,
+            h,
+            self.solver.counts.iterations - before,
+            residual,
+            wanted,
+            problem.energies(y),
+            contact_report(problem, y) if problem.contact else None,
+            outcome.method,
+            problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
+        )
+        return done, outcome
+
+    def _solve(
+        self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
+    ) -> tuple[Prediction, Problem, float, Outcome]:
+        """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
+        prediction, problem, tolerance (N) and outcome."""
+        k, wanted = self.k, 0.0
+        prediction, euler = scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        bearing = self._bearing(problem, self.driven)
+        while True:
+            prediction = prediction.where(bearing, euler)
+            inertia = Inertia(
+                problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted
+            )
+            if problem.contact:
+                problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
+            step = problem.with_terms(inertia, *self._resistance(problem, prediction, k.positions))
+            if stress is not None:
+                step = step.with_terms(KelvinVoigt(problem.elastic, self.damping.stiffness / h, stress))
+            wanted = wanted or self._wanted(problem, inertia)
+            outcome = self.solver.solve(step, self.y, wanted)
+            now = self._bearing(problem, bearing)
+            if not outcome.converged or problem.everywhere(np.array_equal(now, bearing)):
+                return prediction, step, wanted, outcome
+            bearing = now
+
+    def _resistance(self, problem: Problem, prediction: Prediction, x: np.ndarray) -> list[Term]:
+        """What depends on velocities, in a step from positions x (n, 3)."""
+        terms = list[Term]()
+        rate, still = np.broadcast_to(prediction.rate, x.shape), prediction.still
+        if self.asked.air:
+            terms.append(Wind.at(problem.part, self.asked.air, x, rate, still))
+        if self.damping.mass:
+            terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
+        return terms
+
+    def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
+        """Slip counts from here, impacts rebound."""
+        if problem.contact:
+            k = self.k
+            problem.contact.begin(k.positions, begin)
+            if isinstance(scheme, MoreauJean):
+                rest = self.options.rest * h**2 * self.fall
+                problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
+
+    def _bearing(self, problem: Problem, known: np.ndarray) -> np.ndarray:
+        """(local vertices, 3) components that are known to be implicit Euler's in this step, and those of vertices that
+        bear on something now or did in the last step, with all that is sewn to them."""
+        if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
+            return known
+        force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
+        bears = force.any(axis=1) | self.pushed
+        unknowns = problem.create_vector()
+        dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
+        unknowns.array[:] = problem.layout.collect(dofs) > 0.0
+        return known | (bears | problem.motion(unknowns).any(axis=1))[:, None]
+
+    def _guess(self, problem: Problem, prediction: Prediction) -> None:
+        """Goes as the last acceleration leads, as far as terms admit."""
+        k = self.k
+        goal = prediction.predicted + k.acceleration / prediction.coefficient
+        way = field_vector(problem, goal - k.positions)
+        self.y.axpy(problem.longest_step(self.y, way), way)
+
+    def _wanted(self, problem: Problem, inertia: Inertia) -> float:
+        """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
+        that the guesses have met; no less than the round-off of the inertia."""
+        loads = problem.load_norm(self.y)
+        if not loads:
+            f = problem.create_vector()
+            problem.residual(self.y, f)
+            loads = self.largest = max(self.largest, f.norm(), force_floor(problem))
+        heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
+        digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
+        return max(self.asked.tolerance * loads, digits * heaviest)
+
+
+def _mean_mass(problem: Problem) -> float:
+    """Of a vertex (kg)."""
+    mass = problem.vertex_mass()[problem.own]
+    total = problem.comm.allreduce(np.array([mass.sum(), len(mass)]))
+    return float(total[0] / total[1])
+
+
+def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """(local vertices, 3) m/s^2: contact's reactions over the masses."""
+    if not problem.contact:
+        return np.zeros_like(x)
+    mass = problem.vertex_mass()[:, None]
+    force = problem.contact.force(x, problem.time, frozen=False)
+    return np.divide(force, mass, out=np.zeros_like(force), where=mass > 0.0)
+
+
+def _residual(problem: Problem, y: PETSc.Vec, tolerance: float) -> float:
+    """Norm (N) of a step's residual, with contact also of what the laws miss."""
+    f = problem.create_vector()
+    if problem.contact:
+        return float(np.hypot(*law_norms(problem, y, f, tolerance)))
+    problem.residual(y, f)
+    return float(f.norm())

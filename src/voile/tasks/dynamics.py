@@ -1,0 +1,28 @@
+"""task = dynamics: the motion in time from the scene's start."""
+
+from voile.problem.damping import Damping
+from voile.solver.stepping.newton_step import NewtonStep
+from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
+from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
+from voile.tasks.in_time import TimeSteps, air, figures, initial_velocity
+from voile.tasks.run import Run
+
+
+def run(job: Run) -> str:
+    """Solves a dynamics scene and writes its results; the reason why it did not reach its end, or empty."""
+    d = job.scene.dynamics
+    job.progress.parameter = "time"
+    scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta))
+    options = TimeOptions(
+        scheme, d.time_step, d.duration, d.tolerance, air(job), Damping(d.damping.mass, d.damping.stiffness)
+    )
+    shell, problem = job.prepare()
+    problem = problem.at(0.0)
+    path = start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
+    with job.results(job.mesh(shell, problem.directors)) as writer:
+        steps = TimeSteps(job, problem, writer, d.duration)
+        steps.write(0.0, 0.0, path)
+        Stepper(problem, options, NewtonStep(problem), path).follow(steps)
+        steps.finish(path)
+    job.summarise(problem, path, dynamics=figures(problem, path))
+    return "" if path.converged else path.reason

@@ -1,0 +1,108 @@
+"""Books in time: what is dissipated and worked, and that they close."""
+
+import numpy as np
+import pytest
+from moving import Recorded, cloth, move, sheet
+from test_contact_in_time import on_slope
+
+from voile.contact.motion import Spell
+from voile.problem.damping import Air, Damping
+from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
+
+G = 9.81
+POINTS, TRIANGLES = sheet(6, 3)
+LEFT = np.flatnonzero(POINTS[:, 0] < 1e-9)
+
+
+def closing(run: Recorded, at_start: float) -> tuple[float, float]:
+    """By how much energies, dissipation and works do not add up to the energy at the start (J), and the largest."""
+    books = run.path.books
+    stored = {"kinetic": books.kinetic(run.path.kinematics), **run.steps[-1].energies}
+    lost = sum(value for name, value in books.totals.items() if name.endswith("dissipated"))
+    given = sum(value for name, value in books.totals.items() if name.endswith("work"))
+    largest = max(map(abs, [*stored.values(), *books.totals.values()]))
+    return sum(stored.values()) + lost - given - at_start, largest
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_books_close_with_everything_that_works(scheme):
+    lift = Spell(displacement=np.array([0.0, 0.0, 0.1]), end=0.2)
+    shell = cloth(POINTS, TRIANGLES, LEFT, young=1e5, moves=((LEFT, lift),))
+    resisting = {"damping": Damping(0.5, 1e-3), "air": Air(np.array([0.0, 1.0, 2.0]), 0.5)}
+    run = move(shell, scheme, 2e-3, 0.4, tolerance=1e-6, **resisting)
+    missed, largest = closing(run, 0.0)
+    assert abs(missed) < 1e-8 * largest and missed == pytest.approx(run.path.books.error, abs=1e-12 * largest)
+    totals = run.path.books.totals
+    assert totals["damping_dissipated"] == pytest.approx(0.126, rel=0.02)  # alike in all schemes
+    assert totals["supports_work"] == pytest.approx(0.0197, rel=0.02)
+    assert abs(totals["scheme_dissipated"]) < 3e-3
+
+
+def test_a_plastic_impact_and_friction_dissipate_what_they_must():
+    angle, mu, height = np.pi / 4, 0.1, 0.2
+    run, *_ = on_slope(angle, height, "implicit-euler", 1e-3, 0.3, friction=mu, tolerance=1e-6)
+    mass, fallen = run.problem.vertex_mass().sum(), np.sqrt(2.0 * height / G) * G
+    missed, largest = closing(run, 0.0)
+    assert abs(missed) < 1e-8 * largest
+    totals = run.path.books.totals
+    assert totals["impact_dissipated"] == pytest.approx(0.5 * mass * (fallen * np.cos(angle)) ** 2, rel=2e-3)
+    t = run.times[-1] - np.sqrt(2.0 * height / G)
+    after = fallen * (np.sin(angle) - mu * np.cos(angle))
+    slid = after * t + 0.5 * G * (np.sin(angle) - mu * np.cos(angle)) * t**2
+    impulse = mu * mass * fallen * np.cos(angle) * 0.5 * (fallen * np.sin(angle) + after)
+    rubbed = impulse + mu * mass * G * np.cos(angle) * slid
+    assert totals["friction_dissipated"] == pytest.approx(rubbed, rel=5e-3)
+    assert 0.0 <= totals["scheme_dissipated"] < 0.01 * largest
+
+
+def test_restitution_dissipates_its_share_and_energy_never_rises():
+    e, height = 0.5, 0.1
+    run, *_ = on_slope(0.0, height, "moreau-jean", 1e-3, 0.2, friction=0.3, restitution=e)
+    mass = run.problem.vertex_mass().sum()
+    assert run.path.books.totals["impact_dissipated"] == pytest.approx(
+        (1.0 - e**2) * mass * G * height, rel=2e-2
+    )
+
+
+@pytest.mark.parametrize(("scheme", "theta"), [("implicit-euler", 1.0), ("moreau-jean", 1.0)])
+def test_energy_never_rises_through_contact(scheme, theta):
+    flat, triangles = sheet(4, 4, 0.2, 0.2)
+    from voile.contact.obstacles import Sphere
+
+    ball = Sphere(center=np.array([0.08, 0.1, -0.11]), radius=0.1, friction=0.4)
+    run = move(
+        cloth(flat, triangles, young=1e5),
+        scheme,
+        2e-3,
+        0.3,
+        obstacles=[ball],
+        tolerance=1e-8,
+        asked=SchemeOptions(theta=theta),
+    )
+    mass = run.problem.vertex_mass()
+    kinetic = np.array([0.5 * mass @ (v**2).sum(axis=1) for v in run.velocities])
+    total = kinetic + np.array([sum(step.energies.values()) for step in run.steps])
+    assert run.path.converged and any(step.contact["active"] for step in run.steps)
+    assert np.diff(total, prepend=0.0).max() < 1e-9 * np.abs(total).max()
+
+
+def test_free_flight_keeps_its_momenta():
+    """A spinning sheet that bends: momentum to round-off, angular momentum to the schemes' order."""
+    spin, about = np.array([1.0, 2.0, 3.0]), POINTS.mean(axis=0)
+    velocity = np.cross(spin, POINTS - about) + np.array([0.3, 0.0, 0.2])
+    velocity[:, 2] += 0.5 * np.sin(5.0 * POINTS[:, 0])
+    shell = cloth(POINTS, TRIANGLES, gravity=np.zeros(3), young=1e5)
+    for scheme, theta, order in (
+        ("implicit-euler", 1.0, 1),
+        ("generalized-alpha", 1.0, 2),
+        ("moreau-jean", 0.5, 2),
+    ):
+        turned = []
+        for h in (4e-3, 2e-3):
+            run = move(shell, scheme, h, 0.2, velocity, tolerance=1e-11, asked=SchemeOptions(theta=theta))
+            mass = run.problem.vertex_mass()[:, None]
+            before, after = (mass * velocity).sum(axis=0), run.path.books.momenta(run.path.kinematics)
+            np.testing.assert_allclose(after[0], before, rtol=0, atol=1e-10 * np.linalg.norm(before))
+            turn = np.cross(POINTS, mass * velocity).sum(axis=0)
+            turned.append(np.linalg.norm(after[1] - turn) / np.linalg.norm(turn))
+        assert turned[0] < 0.03**order and np.log2(turned[0] / turned[1]) > 0.75 * order

@@ -1,0 +1,90 @@
+"""Impact and dry friction in time against exact motions of a rigid sheet on a plane."""
+
+import numpy as np
+import pytest
+from moving import Recorded, cloth, move, sheet
+from scipy.spatial.transform import Rotation
+
+from voile.contact.obstacles import Plane
+from voile.solver.stepping.schemes import SCHEMES
+
+G = 9.81
+
+
+def on_slope(angle: float, height: float, scheme: str, h: float, duration: float, along: float = 0.0, **more):
+    """A sheet parallel to a plane that falls along x by `angle`, `height` (m) above it, at a speed along it: the run,
+    mean ways (k,) and speeds (k,) along the slope."""
+    laws = {name: more.pop(name, 0.0) for name in ("friction", "restitution")}
+    turn = Rotation.from_euler("y", angle).as_matrix()
+    flat, triangles = sheet(3, 3, 0.2, 0.2)
+    rest = (flat - flat.mean(axis=0)) @ turn.T
+    plane = Plane(point=np.zeros(3), normal=turn[:, 2], **laws)
+    points = rest + np.array([0.0, 0.0, height])
+    shell = cloth(points, triangles, rest_points=rest)
+    run: Recorded = move(shell, scheme, h, duration, along * turn[:, 0], [plane], **more)
+    assert run.path.converged
+    way = np.array([(x - points).mean(axis=0) @ turn[:, 0] for x in run.positions])
+    speed = np.array([v.mean(axis=0) @ turn[:, 0] for v in run.velocities])
+    return run, way, speed
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_plate_falls_on_a_slope(scheme):
+    """Ly et al. 2020, figure 5: a perfectly plastic impact with friction, then a constant acceleration."""
+    angle, mu, height, h = np.pi / 4, 0.1, 0.2, 1e-3
+    run, _, speed = on_slope(angle, height, scheme, h, 0.25, friction=mu)
+    t, impact = np.array(run.times), np.sqrt(2.0 * height / G)
+    share = np.sin(angle) - mu * np.cos(angle)
+    touches = np.array([step.contact["active"] for step in run.steps]) > 0
+    first = int(np.argmax(touches))
+    assert touches[first:].all() and abs(t[first] - impact) <= h
+    after = slice(first + 1, None)  # it lands in one step and is stopped in the next
+    np.testing.assert_allclose(speed[after], G * share * t[after], rtol=1e-3)
+    assert (speed[-1] - speed[first + 5]) / (t[-1] - t[first + 5]) == pytest.approx(G * share, rel=1e-6)
+    assert np.ptp(run.velocities[-1], axis=0).max() < 1e-9
+    assert run.solver.counts.factorisations < 1.2 * run.path.count
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_sliding_sheet_stops_and_then_does_not_move_at_all(scheme):
+    mu, speed, h = 0.3, 1.0, 2e-3
+    run, way, _ = on_slope(0.0, 0.0, scheme, h, 0.5, speed, friction=mu)
+    still = np.array([np.abs(v).max() < 1e-12 for v in run.velocities])
+    stop = int(np.argmax(still))
+    assert still[stop:].all() and run.times[stop] == pytest.approx(speed / (mu * G), abs=h)
+    assert way[-1] == pytest.approx(speed**2 / (2.0 * mu * G), abs=speed * h)
+    assert max(np.abs(x - run.positions[stop]).max() for x in run.positions[stop:]) < 1e-14
+    assert run.steps[-1].contact["slip"] == 0
+
+
+@pytest.mark.parametrize("share", [1.00001, 0.99999])
+def test_a_slope_at_the_angle_of_friction(share):
+    angle = 0.4
+    run, _, speed = on_slope(
+        angle, 0.0, "implicit-euler", 1e-2, 0.5, friction=share * np.tan(angle), tolerance=1e-12
+    )
+    if share > 1.0:
+        assert np.abs(run.velocities).max() < 1e-12
+    else:
+        exact = G * np.sin(angle) * (1.0 - share)
+        np.testing.assert_allclose(speed, exact * np.array(run.times), rtol=1e-6)
+
+
+def test_restitution_lifts_a_sheet_to_its_square():
+    height, e = 0.2, 0.5
+    rises = []
+    for h in (2e-3, 1e-3):
+        run, *_ = on_slope(0.0, height, "moreau-jean", h, 0.4, restitution=e, friction=0.3)
+        t, z = np.array(run.times), np.array([x[:, 2].mean() for x in run.positions])
+        rises.append(z[t > np.sqrt(2.0 * height / G) + h].max() - e**2 * height)
+        assert z.min() >= 0.0
+    assert 0.0 <= rises[1] < 1e-3 and rises[1] < 0.6 * rises[0] + 1e-4
+
+
+def test_an_impact_rubs_with_no_more_than_its_share():
+    """A tilted throw: the tangential impulse is mu times the normal one, or what stops it."""
+    for speed, mu in ((2.0, 0.3), (0.1, 0.3)):
+        run, _, along = on_slope(0.0, 0.05, "moreau-jean", 1e-3, 0.15, speed, friction=mu, restitution=0.5)
+        before = int(np.argmax([step.contact["active"] > 0 for step in run.steps])) - 1
+        normal = run.velocities[before + 2][:, 2].mean() - run.velocities[before][:, 2].mean() + 2e-3 * G
+        assert along[before] - along[before + 2] == pytest.approx(min(mu * normal, speed), rel=1e-9)
