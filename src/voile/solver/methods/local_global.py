@@ -1,0 +1,142 @@
+"""Projective Dynamics with dry friction (Bouaziz et al. 2014; Ly, Jouve, Boissieux & Bertails-Descoubes 2020).
+
+An implicit step x minimises c/2 |x - predicted|^2_M + E(x) under contact's laws. Elements project their deformation on
+what is free of energy (local); the positions come from a constant matrix A = c M + K (global), factored once per run.
+With the forces F of all terms that is x <- x + A^-1 (F(x) + r), for K is the energies' Hessian with projections held.
+Reactions r are estimated contact by contact: vertices go where inertia alone leads them, x + (F + r)/(c M), and the
+laws cut that motion. A fixed point obeys balance and laws exactly; stopped before, it is a prediction.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.contact.local import LocalLaws
+from voile.problem.contact import contact_of
+from voile.problem.inertia import Inertia, mass_blocks
+from voile.problem.problem import Problem
+from voile.problem.projective import constant_blocks
+from voile.solver.anderson import Anderson
+from voile.solver.constant import ConstantMatrix
+from voile.solver.linear import Counts
+from voile.solver.methods.method import Outcome
+
+SIZES = 2  # of time steps whose factors are kept
+
+
+@dataclass
+class Options:
+    """iterations at most. renew: iterations after which contacts are linearised anew. near: sizes of the shell beyond
+    its motion in the step within which a vertex may come into contact. depth: of Anderson's acceleration, 0 without.
+    growth: of a step over the last one, beyond which acceleration starts anew."""
+
+    iterations: int = 20
+    renew: int = 5
+    near: float = 1e-3
+    depth: int = 5
+    growth: float = 2.0
+
+
+class LocalGlobal:
+    """A method for the problems of steps, which have an inertia term. It stops at the tolerance or after its
+    iterations, and says which in the outcome; `norms`: of balance and laws (N) at the end."""
+
+    name = "local-global"
+
+    def __init__(self, problem: Problem, options: Options | None = None):
+        self.options, self.counts = options or Options(), Counts()
+        self.blocks = constant_blocks(problem.part)
+        self.norms = (np.inf, 0.0)
+        self._matrices: dict[float, tuple[ConstantMatrix, np.ndarray]] = {}
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        inertia = next(term for term in problem.terms if isinstance(term, Inertia))
+        step = _Step(self, problem, inertia.coefficient, y)
+        for iteration in range(self.options.iterations + 1):
+            last = iteration == self.options.iterations
+            if step.measure(y, tolerance, fresh=last or iteration % self.options.renew == 0):
+                break
+            if not last:
+                step.advance(y)
+                self.counts.iterations += 1
+        self.norms = step.norms
+        norm = float(np.hypot(*step.norms))
+        if not np.isfinite(norm):
+            return Outcome(False, self.name, "the iteration diverged")
+        reason = "" if norm <= tolerance else f"{self.options.iterations} iterations, norm {norm:.3e} N"
+        return Outcome(True, self.name, reason, norm=norm)
+
+    def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, np.ndarray]:
+        """A, and the diagonal of its inertia (own unknowns,) N/m."""
+        if coefficient not in self._matrices:
+            matrix = problem.create_matrix()
+            problem.assemble(matrix, self.blocks, [mass_blocks(problem.vertex_mass(), coefficient)])
+            inertia = coefficient * problem.mass().array_r
+            kept = list(self._matrices.items())[1 - SIZES :]
+            self._matrices = dict(kept) | {
+                coefficient: (ConstantMatrix(problem, matrix, self.counts), inertia)
+            }
+        return self._matrices[coefficient]
+
+
+class _Step:
+    """The iteration of one step in time."""
+
+    def __init__(self, method: LocalGlobal, problem: Problem, coefficient: float, y: PETSc.Vec):
+        self.problem, self.options = problem, method.options
+        self.matrix, self.inertia = method.matrix(problem, coefficient)
+        self.force, self.direction = problem.create_vector(), problem.create_vector()
+        self.anderson, self.stepped = Anderson(problem.comm, method.options.depth), np.inf
+        self.norms = (np.inf, 0.0)
+        self.laws: LocalLaws | None = None
+        if problem.contact:
+            self.start = self.anchor = problem.contact.history.reference
+            self.laws = LocalLaws(problem.contact, coefficient * problem.vertex_mass(), problem.time)
+
+    def measure(self, y: PETSc.Vec, tolerance: float, fresh: bool) -> bool:
+        """Evaluates the forces at y; whether their norm and that of what the laws miss are under the tolerance (N).
+        fresh: contacts are linearised at y."""
+        problem, laws = self.problem, self.laws
+        if laws is None:
+            problem.residual(y, self.force)
+            self.norms = float(self.force.norm()), 0.0
+            return self.norms[0] <= tolerance
+        if fresh:
+            x = problem.positions(y)
+            self._linearise(laws, x)
+        problem.residual(y, self.force, laws.force())
+        if not fresh:
+            return False
+        missed = problem.comm.allreduce(laws.mismatch(x))
+        self.norms = float(self.force.norm()), float(np.sqrt(missed))
+        done = float(np.hypot(*self.norms)) <= tolerance
+        laws.remember()
+        return done
+
+    def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
+        contact, problem = contact_of(self.problem), self.problem
+        if hasattr(laws, "laws"):
+            laws.remember()
+        if contact.itself and contact.free_share(self.start, x) == 1.0:
+            self.anchor = x
+        reach = np.linalg.norm(x - self.start, axis=1) + self.options.near * problem.size()
+        laws.linearise(x, reach, self.anchor)
+
+    def advance(self, y: PETSc.Vec) -> None:
+        """One iteration from y, where `force` is minus the forces."""
+        problem, force, direction = self.problem, self.force, self.direction
+        if self.laws is not None:
+            free = y.copy()
+            free.array[:] -= force.array_r / self.inertia
+            change = self.laws.sweep(problem.positions(free))
+            dofs = np.concatenate([change.ravel(), np.zeros(problem.part.matrix.shape[0] - change.size)])
+            force.array[:] -= problem.layout.collect(dofs)
+        self.matrix.solve(force, direction)
+        direction.scale(-1.0)
+        size = direction.norm()
+        if size > self.options.growth * self.stepped:
+            self.anderson.forget()
+        self.stepped = size
+        y.array[:] += self.anderson.next(y.array_r, direction.array_r)
