@@ -51,9 +51,9 @@ class LocalLaws:
     def __init__(self, contact: NaturalMap, inertia: np.ndarray, t: float):
         self.contact, self.t = contact, t
         self.inertia = self._gather(inertia)
-        self.gaps: list[
-            tuple[np.ndarray, np.ndarray]
-        ] = []  # to each obstacle, and the positions that they are of
+        # To each obstacle, and at which positions.
+        self.gaps: list[tuple[np.ndarray, np.ndarray]] = []
+        self.found: _Linearised | None = None
 
     def _gather(self, values: np.ndarray) -> np.ndarray:
         """(all, ...) of local vertices' values: where layers are in play contacts are those of all ranks."""
@@ -67,7 +67,7 @@ class LocalLaws:
         ]
         joined = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Linearised))
         found = _Linearised(*joined)
-        self.found = found = found.each(np.argsort(self._levels(found), kind="stable"))
+        found = self.found = found.each(np.argsort(self._levels(found), kind="stable"))
         self.laws = _projective.LocalContacts(
             found.vertex,
             found.weight,
@@ -169,11 +169,14 @@ class LocalLaws:
 
     def mismatch(self, x: np.ndarray) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's contacts, at positions x (n, 3)."""
+        assert self.found is not None
         return self.laws.mismatch(np.ascontiguousarray(self._gather(x)), self.found.rho, self.found.counted)
 
     def remember(self) -> None:
         """The reactions become the history's."""
         found, contact = self.found, self.contact
+        if found is None:
+            return
         reaction = np.empty_like(found.normal)
         self.laws.reaction(reaction)
         normal = np.einsum("ci,ci->c", found.normal, reaction)

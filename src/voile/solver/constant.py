@@ -7,7 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from voile._projective import Cholesky
+from voile import _projective
 from voile.problem.problem import Problem
 from voile.solver.linear import Counts, LinearSolver, factored
 
@@ -20,7 +20,7 @@ class ConstantMatrix:
     def __init__(self, problem: Problem, matrix: PETSc.Mat, counts: Counts):
         self.counts = counts
         self._several: LinearSolver | None = None
-        self._groups: list[tuple[np.ndarray, Cholesky]] = []
+        self._groups: list[tuple[np.ndarray, _projective.Cholesky]] = []
         if problem.comm.size > 1:
             self._several = factored(matrix, counts)
             return
@@ -44,7 +44,9 @@ class ConstantMatrix:
             else:
                 kept.append(([rows], part))
         for group, part in kept:
-            factor = Cholesky(part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data)
+            factor = _projective.Cholesky(
+                part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data
+            )
             self._groups.append((np.stack(group), factor))
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:

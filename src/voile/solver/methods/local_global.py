@@ -53,20 +53,21 @@ class LocalGlobal:
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
         inertia = next(term for term in problem.terms if isinstance(term, Inertia))
-        step = _Step(self, problem, inertia.coefficient, y)
-        for iteration in range(self.options.iterations + 1):
-            last = iteration == self.options.iterations
-            if step.measure(y, tolerance, fresh=last or iteration % self.options.renew == 0):
+        step, most = _Step(self, problem, inertia.coefficient, y), self.options.iterations
+        for iteration in range(most + 1):
+            step.measure(y, iteration % self.options.renew == 0 or iteration == most)
+            if step.norm <= tolerance and not step.fresh:
+                step.measure(y, True)
+            if step.norm <= tolerance or iteration == most or not np.isfinite(step.norm):
                 break
-            if not last:
-                step.advance(y)
-                self.counts.iterations += 1
+            step.advance(y)
+            self.counts.iterations += 1
+        step.finish()
         self.norms = step.norms
-        norm = float(np.hypot(*step.norms))
-        if not np.isfinite(norm):
+        if not np.isfinite(step.norm):
             return Outcome(False, self.name, "the iteration diverged")
-        reason = "" if norm <= tolerance else f"{self.options.iterations} iterations, norm {norm:.3e} N"
-        return Outcome(True, self.name, reason, norm=norm)
+        reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
+        return Outcome(True, self.name, reason, norm=step.norm)
 
     def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, np.ndarray]:
         """A, and the diagonal of its inertia (own unknowns,) N/m."""
@@ -82,43 +83,41 @@ class LocalGlobal:
 
 
 class _Step:
-    """The iteration of one step in time."""
+    """The iteration of one step in time. `norms`: of forces out of balance and of what the laws miss (N), where y was
+    last measured; fresh: with contacts as they are there."""
 
     def __init__(self, method: LocalGlobal, problem: Problem, coefficient: float, y: PETSc.Vec):
         self.problem, self.options = problem, method.options
         self.matrix, self.inertia = method.matrix(problem, coefficient)
         self.force, self.direction = problem.create_vector(), problem.create_vector()
         self.anderson, self.stepped = Anderson(problem.comm, method.options.depth), np.inf
-        self.norms = (np.inf, 0.0)
+        self.norms, self.fresh = (np.inf, 0.0), False
         self.laws: LocalLaws | None = None
         if problem.contact:
             self.start = self.anchor = problem.contact.history.reference
             self.laws = LocalLaws(problem.contact, coefficient * problem.vertex_mass(), problem.time)
 
-    def measure(self, y: PETSc.Vec, tolerance: float, fresh: bool) -> bool:
-        """Evaluates the forces at y; whether their norm and that of what the laws miss are under the tolerance (N).
-        fresh: contacts are linearised at y."""
-        problem, laws = self.problem, self.laws
-        if laws is None:
-            problem.residual(y, self.force)
-            self.norms = float(self.force.norm()), 0.0
-            return self.norms[0] <= tolerance
-        if fresh:
+    @property
+    def norm(self) -> float:
+        """Of both together (N)."""
+        return float(np.hypot(*self.norms))
+
+    def measure(self, y: PETSc.Vec, fresh: bool) -> None:
+        """Evaluates forces and laws at y; fresh: contacts are linearised there."""
+        problem, laws, missed, reactions = self.problem, self.laws, 0.0, None
+        self.fresh = fresh or laws is None
+        if laws is not None:
             x = problem.positions(y)
-            self._linearise(laws, x)
-        problem.residual(y, self.force, laws.force())
-        if not fresh:
-            return False
-        missed = problem.comm.allreduce(laws.mismatch(x))
+            if fresh:
+                self._linearise(laws, x)
+            reactions = laws.force()
+            missed = problem.comm.allreduce(laws.mismatch(x))
+        problem.residual(y, self.force, reactions)
         self.norms = float(self.force.norm()), float(np.sqrt(missed))
-        done = float(np.hypot(*self.norms)) <= tolerance
-        laws.remember()
-        return done
 
     def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
         contact, problem = contact_of(self.problem), self.problem
-        if hasattr(laws, "laws"):
-            laws.remember()
+        laws.remember()
         if contact.itself and contact.free_share(self.start, x) == 1.0:
             self.anchor = x
         reach = np.linalg.norm(x - self.start, axis=1) + self.options.near * problem.size()
@@ -140,3 +139,8 @@ class _Step:
             self.anderson.forget()
         self.stepped = size
         y.array[:] += self.anderson.next(y.array_r, direction.array_r)
+
+    def finish(self) -> None:
+        """The reactions become the contact's."""
+        if self.laws is not None:
+            self.laws.remember()
