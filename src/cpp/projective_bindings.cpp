@@ -4,6 +4,7 @@
 
 #include <stdexcept>
 
+#include "anderson.hpp"
 #include "cholesky.hpp"
 #include "projective.hpp"
 
@@ -48,6 +49,21 @@ NB_MODULE(_projective, m) {
           },
           "b"_a)
       .def_prop_ro("nonzeros", &Cholesky::nonzeros);
+
+  nb::class_<Memory>(m, "Memory")
+      .def(nb::init<int, int>(), "size"_a, "depth"_a)
+      .def("forget", &Memory::forget)
+      .def_prop_ro("kept", &Memory::kept)
+      .def_prop_ro("newest", &Memory::newest)
+      .def("add",
+           [](Memory& self, In<double> y, In<double> step) {
+             self.add(sized(y, self.length(), "y"), sized(step, self.length(), "step"));
+           })
+      .def("products",
+           [](const Memory& self, Out<double> out) { self.products(sized(out, 2 * self.most(), "out")); })
+      .def("combine", [](const Memory& self, In<double> share, Out<double> out) {
+        self.combine(sized(share, self.kept(), "share"), sized(out, self.length(), "out"));
+      });
 
   nb::class_<LocalContacts>(m, "LocalContacts")
       .def(

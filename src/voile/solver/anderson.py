@@ -3,31 +3,35 @@
 import numpy as np
 from mpi4py import MPI
 
+from voile import _projective
+
+FAINT = 1e-14  # of the largest: singular values of the changes' products that are round-off
+
 
 class Anderson:
-    """Of iterates that several ranks hold parts of; `depth` earlier steps count."""
+    """Of iterates that several ranks hold parts of, `size` numbers here; `depth` earlier steps count."""
 
-    def __init__(self, comm: MPI.Comm, depth: int):
+    def __init__(self, comm: MPI.Comm, size: int, depth: int):
         self.comm, self.depth = comm, depth
-        self.forget()
+        self._memory = _projective.Memory(size, depth)
+        self._gram = np.zeros((depth, depth))
+        self._local, self._total = np.zeros(2 * depth), np.zeros(2 * depth)
 
     def forget(self) -> None:
         """Starts anew."""
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
-        self._steps: list[np.ndarray] = []  # changes of the iterates plus those of their steps
-        self._changes: list[np.ndarray] = []  # of the steps
+        self._memory.forget()
 
-    def next(self, y: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """The step to take from the iterate y, where the iteration itself would take `step`."""
-        if self._last is not None and self.depth:
-            was, stepped = self._last
-            change = step - stepped
-            self._changes = [*self._changes, change][-self.depth :]
-            self._steps = [*self._steps, (y - was) + change][-self.depth :]
-        self._last = y.copy(), step.copy()
-        if not self._changes:
-            return step
-        basis = np.stack(self._changes)
-        products = self.comm.allreduce(np.column_stack([basis @ basis.T, basis @ step]))
-        share = np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-14)[0]
-        return step - share @ np.stack(self._steps)
+    def step(self, y: np.ndarray, step: np.ndarray, out: np.ndarray) -> None:
+        """Writes to `out` the step to take from the iterate y, where the iteration itself would take `step`."""
+        memory, depth = self._memory, self.depth
+        memory.add(y, step)
+        kept = memory.kept
+        if not kept:
+            out[:] = step
+            return
+        memory.products(self._local)
+        self.comm.Allreduce(self._local, self._total)
+        row, right = self._total[:kept], self._total[depth : depth + kept]
+        self._gram[memory.newest, :kept] = self._gram[:kept, memory.newest] = row
+        share = np.linalg.lstsq(self._gram[:kept, :kept], right, rcond=FAINT)[0]
+        memory.combine(share, out)

@@ -90,7 +90,8 @@ class _Step:
         self.problem, self.options = problem, method.options
         self.matrix, self.inertia = method.matrix(problem, coefficient)
         self.force, self.direction = problem.create_vector(), problem.create_vector()
-        self.anderson, self.stepped = Anderson(problem.comm, method.options.depth), np.inf
+        self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
+        self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
         self.norms, self.fresh = (np.inf, 0.0), False
         self.laws: LocalLaws | None = None
         if problem.contact:
@@ -104,16 +105,17 @@ class _Step:
 
     def measure(self, y: PETSc.Vec, fresh: bool) -> None:
         """Evaluates forces and laws at y; fresh: contacts are linearised there."""
-        problem, laws, missed, reactions = self.problem, self.laws, 0.0, None
+        problem, laws, missed = self.problem, self.laws, 0.0
         self.fresh = fresh or laws is None
+        at = problem.point(y)
+        forces = sum((term.forces(at) for term in problem.terms[1:]), problem.terms[0].forces(at))
         if laws is not None:
-            x = problem.positions(y)
             if fresh:
-                self._linearise(laws, x)
-            reactions = laws.force()
-            missed = problem.comm.allreduce(laws.mismatch(x))
-        problem.residual(y, self.force, reactions)
-        self.norms = float(self.force.norm()), float(np.sqrt(missed))
+                self._linearise(laws, at.positions)
+            forces[: at.u.size] += laws.force().ravel()
+            missed = problem.comm.allreduce(laws.mismatch(at.positions))
+        self.force.array[:] = problem.layout.collect(forces)
+        self.x, self.norms = at.positions, (float(self.force.norm()), float(np.sqrt(missed)))
 
     def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
         contact, problem = contact_of(self.problem), self.problem
@@ -124,21 +126,20 @@ class _Step:
         laws.linearise(x, reach, self.anchor)
 
     def advance(self, y: PETSc.Vec) -> None:
-        """One iteration from y, where `force` is minus the forces."""
+        """One iteration from y, where `force` has been measured."""
         problem, force, direction = self.problem, self.force, self.direction
         if self.laws is not None:
-            free = y.copy()
-            free.array[:] -= force.array_r / self.inertia
-            change = self.laws.sweep(problem.positions(free))
-            dofs = np.concatenate([change.ravel(), np.zeros(problem.part.matrix.shape[0] - change.size)])
-            force.array[:] -= problem.layout.collect(dofs)
+            direction.array[:] = force.array_r / self.inertia
+            change = self.laws.sweep(self.x + problem.motion(direction))
+            self._spread[: change.size] = change.ravel()
+            force.array[:] += problem.layout.collect(self._spread)
         self.matrix.solve(force, direction)
-        direction.scale(-1.0)
         size = direction.norm()
         if size > self.options.growth * self.stepped:
             self.anderson.forget()
         self.stepped = size
-        y.array[:] += self.anderson.next(y.array_r, direction.array_r)
+        self.anderson.step(y.array_r, direction.array_r, force.array)
+        y.axpy(1.0, force)
 
     def finish(self) -> None:
         """The reactions become the contact's."""
