@@ -35,18 +35,23 @@ void LocalContacts::project(int c, const double p[3], double rho, double r[3]) c
   for (int a = 0; a < 3; ++a) r[a] = pressed * n[a] + share * trial[a];
 }
 
-void LocalContacts::sweep(double* x, const double* inertia) {
+double LocalContacts::sweep(double* x, const double* inertia) {
+  double changed = 0.0;
   for (int c = 0; c < count(); ++c) {
     double p[3], r[3], soft = 0.0;  // m/N: motion by a reaction
-    for (int s = MOST * c; s < MOST * (c + 1); ++s)
-      soft += weight[s] * weight[s] / inertia[vertex[s]];
+    for (int s = MOST * c; s < MOST * (c + 1); ++s) soft += weight[s] * weight[s] / inertia[vertex[s]];
     place(c, x, p);
     project(c, p, 1.0 / soft, r);
-    double change[3];
-    for (int a = 0; a < 3; ++a) change[a] = r[a] - reaction[3 * c + a], reaction[3 * c + a] = r[a];
-    for (int s = MOST * c; s < MOST * (c + 1); ++s)
-      for (int a = 0; a < 3; ++a) x[3 * vertex[s] + a] += weight[s] / inertia[vertex[s]] * change[a];
+    for (int a = 0; a < 3; ++a) {
+      const double change = r[a] - reaction[3 * c + a];
+      if (change == 0.0) continue;
+      reaction[3 * c + a] = r[a];
+      changed += change * change;
+      for (int s = MOST * c; s < MOST * (c + 1); ++s)
+        x[3 * vertex[s] + a] += weight[s] / inertia[vertex[s]] * change;
+    }
   }
+  return changed;
 }
 
 void LocalContacts::spread(double* force) const {

@@ -80,7 +80,7 @@ NB_MODULE(_projective, m) {
       .def(
           "sweep",
           [](LocalContacts& self, Out<double> x, In<double> inertia) {
-            self.sweep(sized(x, 3 * inertia.size(), "x"), inertia.data());
+            return self.sweep(sized(x, 3 * inertia.size(), "x"), inertia.data());
           },
           "x"_a, "inertia"_a)
       .def(

@@ -15,6 +15,7 @@ from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import within
 
 MOST = 4  # vertices of a contact
+SWEEPS, SETTLED = 10, 0.05  # passes over contacts that share vertices, and the last one's change over the first's
 
 
 @dataclass
@@ -68,6 +69,8 @@ class LocalLaws:
         joined = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Linearised))
         found = _Linearised(*joined)
         found = self.found = found.each(np.argsort(self._levels(found), kind="stable"))
+        touched = found.vertex[found.weight != 0.0]
+        self._shared = len(np.unique(touched)) < len(touched)
         self.laws = _projective.LocalContacts(
             found.vertex,
             found.weight,
@@ -158,7 +161,11 @@ class LocalLaws:
         """The reactions that carry vertices from where inertia alone leads them, positions x (n, 3) m with the present
         reactions, to where the laws hold; (n, 3) N, what the shell's forces have changed by."""
         before, moved = self.force(), np.array(self._gather(x))
-        self.laws.sweep(moved, self.inertia)
+        first = self.laws.sweep(moved, self.inertia)
+        # One pass is exact where no vertex has two contacts.
+        for _ in range(SWEEPS - 1 if self._shared else 0):
+            if self.laws.sweep(moved, self.inertia) <= SETTLED**2 * first:
+                break
         return self.force() - before
 
     def force(self) -> np.ndarray:
