@@ -1,14 +1,8 @@
 """A run of Projective Dynamics on any number of ranks: local_global_ranks.py CASE STEPS OUT.npz."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
-
-import voile  # noqa: F401  # chooses the BLAS before numpy loads
-
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-
 import protocols
 from falling import Slope, cloth, turning_sphere
 from marching import March
@@ -29,7 +23,7 @@ def stack(count: int = 2, apart: float = 2e-3) -> Shell:
     for k in range(count):
         points, triangles = protocols.plate(0.2 - 0.03 * k, 0.2 - 0.03 * k, 0.02)
         faces.append(triangles + sum(map(len, parts)))
-        parts.append(points + [0.015 * k, 0.012 * k, apart * (k + 1)])
+        parts.append(points + np.array([0.015 * k, 0.012 * k, apart * (k + 1)]))
     return cloth(np.concatenate(parts), np.concatenate(faces).astype(np.int32))
 
 

@@ -1,5 +1,8 @@
 """Projective Dynamics with dry friction: what sticks stays, what slides slides as Coulomb says."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import protocols
 import pytest
@@ -105,3 +108,22 @@ def test_steps_on_a_turning_sphere_are_newtons(friction):
     normal, theirs = ours.contact.history.normal[0], theirs.contact.history.normal[0]
     assert (theirs > 0.0).sum() > 20
     assert np.abs(normal - theirs).max() < 1e-5 * theirs.max()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("name", "steps", "exact"), [("free", 100, 1e-10), ("sphere", 60, 1e-6), ("layers", 14, 1e-6)]
+)
+def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, name, steps, exact):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    found = []
+    for ranks in (1, 2, 4):
+        program = Path(__file__).with_name("local_global_ranks.py")
+        done = mpirun(ranks, [sys.executable, program, name, steps, tmp_path / f"{ranks}.npz"], 300)
+        assert done.returncode == 0, done.stderr
+        found.append(np.load(tmp_path / f"{ranks}.npz"))
+    first = found[0]
+    assert np.ptp(first["x"][:, 2]) > (1e-3 if name == "layers" else 0.1)
+    for other in found[1:]:
+        assert np.abs(other["x"] - first["x"]).max() < exact
+        assert np.abs(other["reaction"] - first["reaction"]).max() <= 1e-5 * np.abs(first["reaction"]).sum()

@@ -15,7 +15,10 @@ from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import within
 
 MOST = 4  # vertices of a contact
-SWEEPS, SETTLED = 10, 0.05  # passes over contacts that share vertices, and the last one's change over the first's
+SWEEPS, SETTLED = (
+    10,
+    0.05,
+)  # passes over contacts that share vertices, and the last one's change over the first's
 
 
 @dataclass
