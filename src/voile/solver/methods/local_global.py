@@ -32,7 +32,7 @@ class Options:
     growth: of a step over the last one, beyond which acceleration starts anew."""
 
     iterations: int = 20
-    renew: int = 5
+    renew: int = 10
     near: float = 1e-3
     depth: int = 5
     growth: float = 2.0
@@ -52,8 +52,7 @@ class LocalGlobal:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        inertia = next(term for term in problem.terms if isinstance(term, Inertia))
-        step, most = _Step(self, problem, inertia.coefficient, y), self.options.iterations
+        step, most = _Step(self, problem, y), self.options.iterations
         for iteration in range(most + 1):
             step.measure(y, iteration % self.options.renew == 0 or iteration == most)
             if step.norm <= tolerance and not step.fresh:
@@ -86,9 +85,12 @@ class _Step:
     """The iteration of one step in time. `norms`: of forces out of balance and of what the laws miss (N), where y was
     last measured; fresh: with contacts as they are there."""
 
-    def __init__(self, method: LocalGlobal, problem: Problem, coefficient: float, y: PETSc.Vec):
+    def __init__(self, method: LocalGlobal, problem: Problem, y: PETSc.Vec):
         self.problem, self.options = problem, method.options
-        self.matrix, self.inertia = method.matrix(problem, coefficient)
+        scheme = next(term for term in problem.terms if isinstance(term, Inertia))
+        self.terms = [term for term in problem.terms if term is not scheme and term is not problem.elastic]
+        self.mass, self.predicted = scheme.coefficient * scheme.mass[:, None], scheme.predicted
+        self.matrix, self.inertia = method.matrix(problem, scheme.coefficient)
         self.force, self.direction = problem.create_vector(), problem.create_vector()
         self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
         self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
@@ -96,7 +98,7 @@ class _Step:
         self.laws: LocalLaws | None = None
         if problem.contact:
             self.start = self.anchor = problem.contact.history.reference
-            self.laws = LocalLaws(problem.contact, coefficient * problem.vertex_mass(), problem.time)
+            self.laws = LocalLaws(problem.contact, self.mass.ravel(), problem.time)
 
     @property
     def norm(self) -> float:
@@ -104,18 +106,24 @@ class _Step:
         return float(np.hypot(*self.norms))
 
     def measure(self, y: PETSc.Vec, fresh: bool) -> None:
-        """Evaluates forces and laws at y; fresh: contacts are linearised there."""
+        """Evaluates forces and laws at y; fresh: contacts are linearised there, and what acts beside elasticity and
+        inertia is evaluated."""
         problem, laws, missed = self.problem, self.laws, 0.0
-        self.fresh = fresh or laws is None
+        self.fresh = fresh
         at = problem.point(y)
-        forces = sum((term.forces(at) for term in problem.terms[1:]), problem.terms[0].forces(at))
+        self.x = at.positions
+        if fresh:
+            self.others = sum((term.forces(at) for term in self.terms), np.zeros(len(self._spread)))
+            if laws is not None:
+                self._linearise(laws, self.x)
+        forces = problem.elastic.forces(at)
+        forces += self.others
+        forces[: at.u.size] += (self.mass * (self.predicted - self.x)).ravel()
         if laws is not None:
-            if fresh:
-                self._linearise(laws, at.positions)
             forces[: at.u.size] += laws.force().ravel()
-            missed = problem.comm.allreduce(laws.mismatch(at.positions))
+            missed = problem.comm.allreduce(laws.mismatch(self.x))
         self.force.array[:] = problem.layout.collect(forces)
-        self.x, self.norms = at.positions, (float(self.force.norm()), float(np.sqrt(missed)))
+        self.norms = float(self.force.norm()), float(np.sqrt(missed))
 
     def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
         contact, problem = contact_of(self.problem), self.problem
