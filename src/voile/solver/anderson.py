@@ -5,7 +5,7 @@ from mpi4py import MPI
 
 from voile import _projective
 
-FAINT = 1e-14  # of the changes' products, added to their diagonal: beside round-off nothing
+FAINT = 1e-14  # of the largest: singular values of the changes' products that are round-off
 
 
 class Anderson:
@@ -14,7 +14,7 @@ class Anderson:
     def __init__(self, comm: MPI.Comm, size: int, depth: int):
         self.comm, self.depth = comm, depth
         self._memory = _projective.Memory(size, depth)
-        self._gram, self._identity = np.zeros((depth, depth)), np.eye(depth)
+        self._gram = np.zeros((depth, depth))
         self._local, self._total = np.zeros(2 * depth), np.zeros(2 * depth)
 
     def forget(self) -> None:
@@ -33,6 +33,5 @@ class Anderson:
         self.comm.Allreduce(self._local, self._total)
         row, right = self._total[:kept], self._total[depth : depth + kept]
         self._gram[memory.newest, :kept] = self._gram[:kept, memory.newest] = row
-        gram = self._gram[:kept, :kept]
-        share = np.linalg.solve(gram + FAINT * np.trace(gram) * self._identity[:kept, :kept], right)
+        share = np.linalg.lstsq(self._gram[:kept, :kept], right, rcond=FAINT)[0]
         memory.combine(share, out)

@@ -33,7 +33,7 @@ class Options:
 
     iterations: int = 20
     renew: int = 10
-    near: float = 1e-3
+    near: float = 1e-4
     depth: int = 5
     growth: float = 2.0
 
