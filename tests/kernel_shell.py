@@ -14,6 +14,7 @@ ALL_MODELS = [
     *KOITER,
     *[("membrane", "tan", material) for material in MATERIALS],
     ("discrete-shells", "tan", "stvk"),
+    ("projective", "tan", "stvk"),
 ]
 each_model = pytest.mark.parametrize("model", ALL_MODELS, ids="-".join)
 

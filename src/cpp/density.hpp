@@ -253,5 +253,60 @@ VOILE_INLINE void evaluate_quadratic(const QuadraticRest& r, const Local& w, Jet
   if constexpr (Model::bends) bend_quadratic<Model, order>(r, w, jet);
 }
 
+// ---- Projective Dynamics by hand: a function of two numbers in stretching, quadratic in sines in bending
+// ----
+
+template <int order>
+VOILE_INLINE void stretch_biot(const QuadraticRest& r, const Real dl[3], Jet& jet) {
+  using T = std::conditional_t<order == 0, Real,
+                               std::conditional_t<order == 1, Dual<Real, 2>, Dual<Dual<Real, 2>, 2>>>;
+  const Real tau[3] = {-r.inverse.b, r.inverse.b + r.inverse.c, r.inverse.a + r.inverse.b};
+  const Real scale = r.inverse.det(), sum = dl[0] + dl[1] + dl[2];
+  Real slope[3], d = 0.0, q = 0.0;  // of q = det(C - I)
+  for (int i = 0; i < 3; ++i) {
+    slope[i] = scale * (Real(FIRST_DET[0]) * dl[i] + Real(FIRST_DET[1]) * (sum - dl[i]));
+    d += tau[i] * dl[i], q += Real(0.5) * slope[i] * dl[i];
+  }
+  T d_variable = lift<T>(d), q_variable = lift<T>(q);
+  if constexpr (order == 1) d_variable = variable<2>(d, 0), q_variable = variable<2>(q, 1);
+  if constexpr (order == 2) d_variable = variable2<2, 2>(d, 0), q_variable = variable2<2, 2>(q, 1);
+  Projective::Strain<T> e(d_variable, q_variable);
+  // Small strains are half of C - I: its square and determinant count four times.
+  T w = lift<T>(Real(4.0) * r.major) * e.trace * e.trace - lift<T>(Real(4.0) * r.minor / scale) * e.det;
+  jet.energy = {value(w), 0.0};
+  if constexpr (order > 0)
+    for (int i = 0; i < 3; ++i) jet.g[i] = value(w.d[0]) * tau[i] + value(w.d[1]) * slope[i];
+  if constexpr (order == 2)
+    for (int i = 0; i < 3; ++i)
+      for (int j = i; j < 3; ++j)
+        jet.h[upper(i, j)] = w.d[0].d[0] * tau[i] * tau[j] +
+                             w.d[0].d[1] * (tau[i] * slope[j] + tau[j] * slope[i]) +
+                             w.d[1].d[1] * slope[i] * slope[j] + w.d[1].v * scale * Real(FIRST_DET[i != j]);
+}
+
+template <class Model, int order>
+VOILE_INLINE void evaluate_biot(const QuadraticRest& r, const Local& w, Jet& jet) {
+  stretch_biot<order>(r, w.over.l, jet);
+  const Real tau[3] = {r.inverse.a + Real(2.0) * r.inverse.b + r.inverse.c, r.inverse.a, r.inverse.c};
+  Real change[3], moment[3];
+  for (int i = 0; i < 3; ++i) {
+    const Real &s = w.q.s[i], &c = w.q.c[i];
+    change[i] = r.ratio * r.height[i] *
+                Model::Fibre::increase({s, c, s, w.s_rest[i], w.c_rest[i], w.over.s[i], w.over.c[i]});
+  }
+  jet.energy.bending = stress(r, tau, SECOND_DET, change, moment) / r.ratio;
+  if constexpr (order == 0) return;
+  for (int i = 0; i < 3; ++i) jet.g[3 + i] = moment[i] * r.height[i] * w.q.c[i];
+  if constexpr (order < 2) return;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      jet.h[upper(i, 3 + j)] = 0.0;
+      if (j < i) continue;
+      const Real arms = r.height[i] * w.q.c[i] * r.height[j] * w.q.c[j];
+      jet.h[upper(3 + i, 3 + j)] = r.ratio * stiffness(r, tau, SECOND_DET, i, j) * arms;
+      if (i == j) jet.h[upper(3 + i, 3 + j)] -= moment[i] * r.height[i] * w.q.s[i];
+    }
+}
+
 }  // namespace VOILE_ISA
 }  // namespace voile

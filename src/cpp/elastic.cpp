@@ -1,5 +1,4 @@
-// The elastic energy, gradient and Hessian of a mesh for every model of models.hpp; the only assembly loops.
-// Compiled once per instruction set with its own VOILE_LANES and VOILE_ISA.
+// The only assembly loops, for all models; compiled once per instruction set (VOILE_LANES, VOILE_ISA).
 #include "elastic.hpp"
 
 #include <map>
@@ -13,6 +12,7 @@ inline namespace VOILE_ISA {
 
 template <class Model>
 class ElasticModel final : public Elastic {
+  static constexpr bool by_hand = Model::quadratic || Model::biot;
   Mesh mesh;
   std::vector<Block> blocks;
   std::vector<int> clamp_of, rest_clamp_of;  // (3m) index into clamps, -1; empty without clamps (at rest)
@@ -100,6 +100,8 @@ class ElasticModel final : public Elastic {
   void evaluate(size_t b, const Local& w, Jet& jet) const {
     if constexpr (Model::quadratic)
       evaluate_quadratic<Model, order>(quadratic[b], w, jet);
+    else if constexpr (Model::biot)
+      evaluate_biot<Model, order>(quadratic[b], w, jet);
     else
       evaluate_automatic<Model, order>(rest[b], w.q, w.over, jet);
   }
@@ -108,7 +110,7 @@ class ElasticModel final : public Elastic {
   explicit ElasticModel(Mesh m) : mesh(std::move(m)), blocks(make_blocks(mesh, mesh.corner.data())) {
     rest.resize(blocks.size());
     origin.resize(blocks.size());
-    quadratic.resize(Model::quadratic ? blocks.size() : 0);
+    quadratic.resize(by_hand ? blocks.size() : 0);
     set_weights(std::vector<double>(mesh.triangles, 1.0).data());
   }
 
@@ -140,7 +142,7 @@ class ElasticModel final : public Elastic {
       rest[b].q = w.q;
       for (int i = 0; i < 3 && flat; ++i) rest[b].q.s[i] = 0.0, rest[b].q.c[i] = 1.0;
       set_origin(b);
-      if constexpr (Model::quadratic) quadratic[b] = quadratic_rest<Model>(rest[b]);
+      if constexpr (by_hand) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
 
@@ -151,7 +153,7 @@ class ElasticModel final : public Elastic {
             [&](int lane) { return values[blocks[b].first + std::min(lane, blocks[b].count - 1)]; });
       };
       rest[b].fabric = {per_triangle(thickness), per_triangle(young), per_triangle(poisson)};
-      if constexpr (Model::quadratic) quadratic[b] = quadratic_rest<Model>(rest[b]);
+      if constexpr (by_hand) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
 
@@ -386,6 +388,7 @@ std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh) {
     add_material<NeoHookean>(t, "neo-hookean");
     add_material<TensionField>(t, "tension-field");
     t["discrete-shells//"] = make<DiscreteShells>;
+    t["projective//"] = make<Projective>;
     return t;
   }();
   auto found = table.find(name);

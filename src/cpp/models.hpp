@@ -214,7 +214,8 @@ struct Energy {
 
 template <class Material>
 struct Membrane {
-  static constexpr bool bends = false, directors = false, quadratic = std::is_same_v<Material, StVK>;
+  static constexpr bool bends = false, directors = false, quadratic = std::is_same_v<Material, StVK>,
+                        biot = false;
   using Fibre = Average;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real[3], const Invariants<T>& r,
@@ -228,7 +229,7 @@ struct Membrane {
 template <class Bending, class Material>
 struct Koiter {
   static constexpr bool bends = true, directors = Bending::directors,
-                        quadratic = std::is_same_v<Material, StVK>;
+                        quadratic = std::is_same_v<Material, StVK>, biot = false;
   using Fibre = Bending;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
@@ -257,7 +258,7 @@ struct Koiter {
 // the isotropic plate on an equilateral mesh: bending D/6 per hinge side |e|^2/altitude weight, lengths 4/3
 // mu, area (lambda - mu)/2 (not negative: the hinge and spring terms alone have Poisson's ratio 1/3).
 struct DiscreteShells {
-  static constexpr bool bends = true, directors = false, quadratic = false;
+  static constexpr bool bends = true, directors = false, quadratic = false, biot = false;
   using Fibre = Theta;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
@@ -280,6 +281,44 @@ struct DiscreteShells {
     T flexural = f.young * cube / (12.0 * (T(1.0) - f.poisson * f.poisson));
     T stretching = area * f.thickness * ((4.0 / 3.0) * (mu * lengths) + rest_of_area * growth * growth);
     return {stretching, 0.25 * (flexural * hinges)};
+  }
+};
+
+// Projective Dynamics (Bouaziz et al. 2014) with the quadratic-distance energies of a Koiter shell.
+// Stretching is quadratic in Biot's strain U - I: h (mu |U - I|^2 + lambda/2 tr(U - I)^2), where |U - I| = |F
+// - R| and tr U - 2 is sqrt 2 times the distance to the deformations of zero mean strain. Bending is
+// quadratic in the sines of half the hinge angles (isometric bending, Bergou et al. 2006: where edges keep
+// their lengths, they are half the jumps of the unit conormals): Koiter's, with B from altitudes at rest.
+struct Projective {
+  static constexpr bool bends = true, directors = false, quadratic = false, biot = true;
+  using Fibre = Average;
+
+  // tr(U) - 2 and det(U - I) of d = tr(C) - 2 and q = det(C - I), C = U^2, without cancellation.
+  template <class T>
+  struct Strain {
+    T trace, det;
+    Strain(const T& d, const T& q) {
+      T j = sqrt(T(1.0) + d + q), grown = (d + q) / (T(1.0) + j), s = sqrt(T(4.0) + d + 2.0 * grown);
+      trace = (d + 2.0 * grown) / (s + T(2.0));
+      det = q * s / ((s + T(2.0)) * (T(1.0) + j) + d);
+    }
+  };
+
+  template <class T>
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
+                          const Fabric<T>& f) {
+    Sym2<T> da = first_form(dl), rest = first_form(r.l), inverse = rest.inverse();
+    T det_rest = rest.det(), area = 0.5 * sqrt(det_rest), increase[3];
+    for (int i = 0; i < 3; ++i) {
+      T height = 2.0 * sqrt(det_rest / r.l[i]);
+      increase[i] = height * (q.s[i] - r.s[i]);
+      set_value(increase[i], value(height) * df[i]);
+    }
+    Strain<T> e(inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c, inverse.det() * da.det());
+    T mu = lame_mu(f);
+    T stretching = (mu + 0.5 * lame_lambda(f)) * e.trace * e.trace - 2.0 * (mu * e.det);
+    T bending = StVK::bending(rest, rest, inverse, rest, second_form(increase), f);
+    return {area * f.thickness * stretching, area * bending};
   }
 };
 

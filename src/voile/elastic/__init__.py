@@ -1,13 +1,12 @@
 """Elastic models over the C++ kernels: energies of triangles as functions of six invariants each."""
 
 from voile.elastic.evaluate import Evaluation, evaluate
-from voile.elastic.models import BENDING, MATERIALS, MODELS, PLANNED, has_directors, model_name, model_of
+from voile.elastic.models import BENDING, MATERIALS, MODELS, has_directors, model_name, model_of
 
 __all__ = [
     "BENDING",
     "MATERIALS",
     "MODELS",
-    "PLANNED",
     "Evaluation",
     "evaluate",
     "has_directors",

@@ -18,8 +18,8 @@ MODELS = {
     "koiter": Model(bends=True, normals=True, material=True),
     "discrete-shells": Model(bends=True, normals=False, material=False),
     "membrane": Model(bends=False, normals=False, material=True),
+    "projective": Model(bends=True, normals=False, material=False),
 }
-PLANNED = ("projective",)  # scenes may name them; this version cannot run them
 BENDING = {"average": False, "sin": True, "tan": True, "theta": True}  # whether edges have director angles
 MATERIALS = ("stvk", "neo-hookean", "tension-field")
 

@@ -27,6 +27,9 @@ class Unknowns:
         self._ghost_values = PETSc.Vec().createSeq(len(part.ghost_global), comm=PETSc.COMM_SELF)
         self._ghost_scatter = PETSc.Scatter().create(self._template, ghosts, self._ghost_values, None)
         self._collect = part.matrix.T.tocsr()[: part.owned]
+        # (own unknowns,) the axis that each moves along, 3 for directors
+        dof = self._collect.indices[self._collect.indptr[:-1]]
+        self.axis = np.where(dof < self.vertices, dof % 3, 3)
         self.origin = self.create()
         self._counted_anew = False
         self._start()

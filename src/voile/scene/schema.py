@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from voile.elastic import BENDING, MATERIALS, MODELS, PLANNED
+from voile.elastic import BENDING, MATERIALS, MODELS
 from voile.keys import (
     Array,
     Axes,
@@ -68,7 +68,7 @@ class Shell:
         default=None,
     )
     scale: float = key(Number("m", above=0), "metres per unit of the mesh files", default=1.0)
-    model: str = key(Choice(*MODELS, *PLANNED), "elastic model", default="koiter")
+    model: str = key(Choice(*MODELS), "elastic model", default="koiter")
     bending: str = key(Choice(*BENDING), "mid-edge normals of the Koiter model", default="tan")
     material: str = key(Choice(*MATERIALS), "material law", default="stvk")
     young: float = key(YOUNG, "Young's modulus")
@@ -274,7 +274,6 @@ def unsupported(scene: Scene) -> list[str]:
     inverse = scene.scene.task == "inverse"
     asked = {
         f'scene.task = "{scene.scene.task}"': not TASKS[scene.scene.task],
-        f'shell.model = "{scene.shell.model}"': scene.shell.model in PLANNED,
         "contact.self_contact = true with inverse.estimate": inverse
         and scene.contact.self_contact
         and bool(scene.inverse.estimate),

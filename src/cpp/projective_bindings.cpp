@@ -1,0 +1,102 @@
+// Python module voile._projective: CHOLMOD's factors, and the contacts of Projective Dynamics.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <stdexcept>
+
+#include "anderson.hpp"
+#include "cholesky.hpp"
+#include "projective.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace voile;
+
+template <class T>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+
+template <class Array>
+static auto* sized(const Array& array, size_t size, const char* name) {
+  if (array.size() != size) throw nb::value_error(name);
+  return array.data();
+}
+
+template <class T>
+static std::vector<T> copied(const In<T>& a, size_t size, const char* name) {
+  const T* data = sized(a, size, name);
+  return std::vector<T>(data, data + size);
+}
+
+NB_MODULE(_projective, m) {
+  nb::class_<Cholesky>(m, "Cholesky")
+      .def(
+          "__init__",
+          [](Cholesky* self, In<int32_t> start, In<int32_t> column, In<double> value) {
+            const int size = (int)start.size() - 1;
+            if (size < 1 || column.size() != value.size() || (size_t)start.data()[size] != value.size())
+              throw nb::value_error("Cholesky: rows of a sparse matrix expected");
+            new (self) Cholesky(size, start.data(), column.data(), value.data());
+          },
+          "start"_a, "column"_a, "value"_a)
+      .def(
+          "solve",
+          [](Cholesky& self, Out<double> b) {
+            if (b.ndim() != 2 || b.shape(0) > 4 || b.shape(1) != (size_t)self.size())
+              throw nb::value_error("solve: (right-hand sides, size) expected, at most 4");
+            self.solve(b.data(), (int)b.shape(0));
+          },
+          "b"_a)
+      .def_prop_ro("nonzeros", &Cholesky::nonzeros);
+
+  nb::class_<Memory>(m, "Memory")
+      .def(nb::init<int, int>(), "size"_a, "depth"_a)
+      .def("forget", &Memory::forget)
+      .def_prop_ro("kept", &Memory::kept)
+      .def_prop_ro("newest", &Memory::newest)
+      .def("add",
+           [](Memory& self, In<double> y, In<double> step) {
+             self.add(sized(y, self.length(), "y"), sized(step, self.length(), "step"));
+           })
+      .def("products",
+           [](const Memory& self, Out<double> out) { self.products(sized(out, 2 * self.most(), "out")); })
+      .def("combine", [](const Memory& self, In<double> share, Out<double> out) {
+        self.combine(sized(share, self.kept(), "share"), sized(out, self.length(), "out"));
+      });
+
+  nb::class_<LocalContacts>(m, "LocalContacts")
+      .def(
+          "__init__",
+          [](LocalContacts* self, In<int32_t> vertex, In<double> weight, In<double> gap, In<double> normal,
+             In<double> anchor, In<double> start, In<double> friction, In<double> reaction) {
+            const size_t c = gap.size();
+            new (self) LocalContacts{copied(vertex, 4 * c, "vertex"), copied(weight, 4 * c, "weight"),
+                                     copied(gap, c, "gap"),           copied(normal, 3 * c, "normal"),
+                                     copied(anchor, 3 * c, "anchor"), copied(start, 3 * c, "start"),
+                                     copied(friction, c, "friction"), copied(reaction, 3 * c, "reaction")};
+          },
+          "vertex"_a, "weight"_a, "gap"_a, "normal"_a, "anchor"_a, "start"_a, "friction"_a, "reaction"_a)
+      .def(
+          "sweep",
+          [](LocalContacts& self, Out<double> x, In<double> inertia) {
+            return self.sweep(sized(x, 3 * inertia.size(), "x"), inertia.data());
+          },
+          "x"_a, "inertia"_a)
+      .def(
+          "spread", [](const LocalContacts& self, Out<double> force) { self.spread(force.data()); },
+          "force"_a)
+      .def(
+          "mismatch",
+          [](const LocalContacts& self, In<double> x, In<double> rho, In<uint8_t> counts) {
+            return self.mismatch(x.data(), sized(rho, self.gap.size(), "rho"),
+                                 sized(counts, self.gap.size(), "counts"));
+          },
+          "x"_a, "rho"_a, "counts"_a)
+      .def(
+          "reaction",
+          [](const LocalContacts& self, Out<double> out) {
+            std::copy(self.reaction.begin(), self.reaction.end(), sized(out, self.reaction.size(), "out"));
+          },
+          "out"_a);
+}

@@ -1,0 +1,208 @@
+"""Contacts as Projective Dynamics with dry friction solves them: linearised at a shape, each for itself.
+
+Ly, Jouve, Boissieux & Bertails-Descoubes 2020 freeze everything but the masses of a contact's vertices. Contacts are
+solved one after the other in levels: first those with obstacles, then layers outward from there. Gaps are in the laws,
+so that a shell lands on what it touches.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from voile import _projective
+from voile.contact.interfaces import ObstacleContact, SelfContact
+from voile.contact.natural_map import NaturalMap
+from voile.contact.pairs import within
+
+MOST = 4  # vertices of a contact
+SWEEPS, SETTLED = (
+    10,
+    0.05,
+)  # passes over contacts that share vertices, and the last one's change over the first's
+
+
+@dataclass
+class _Linearised:
+    """Contacts: partner (c,), row (c,) in its part of the history; vertices and weights (c, 4); gap (c,) m at the
+    anchor (c, 3) m, over the length (c,) of its gradient, unit normal (c, 3); start (c, 3) m, from which slip is
+    measured; the reaction (c, 3) N; friction's coefficient, the natural map's rho (N/m), and whether it counts on this
+    rank (c,)."""
+
+    partner: np.ndarray
+    row: np.ndarray
+    vertex: np.ndarray
+    weight: np.ndarray
+    gap: np.ndarray
+    length: np.ndarray
+    normal: np.ndarray
+    anchor: np.ndarray
+    start: np.ndarray
+    reaction: np.ndarray
+    friction: np.ndarray
+    rho: np.ndarray
+    counted: np.ndarray
+
+    def each(self, rows: np.ndarray) -> "_Linearised":
+        """Some of them."""
+        return _Linearised(*(np.ascontiguousarray(getattr(self, f.name)[rows]) for f in fields(self)))
+
+
+class LocalLaws:
+    """Contacts that the n vertices of a shell may have near positions x (n, 3) m at time t: those `reach` (n,) m from
+    an obstacle, and its layers' candidates, whose distances are linearised at anchor (n, 3) m, on the near side of all
+    layers. inertia (n,) N/m moves with the vertices."""
+
+    def __init__(self, contact: NaturalMap, inertia: np.ndarray, t: float):
+        self.contact, self.t = contact, t
+        self.inertia = self._gather(inertia)
+        # To each obstacle, and at which positions.
+        self.gaps: list[tuple[np.ndarray, np.ndarray]] = []
+        self.found: _Linearised | None = None
+
+    def _gather(self, values: np.ndarray) -> np.ndarray:
+        """(all, ...) of local vertices' values: where layers are in play contacts are those of all ranks."""
+        return self.contact.itself.gather(values) if self.contact.itself else values
+
+    def linearise(self, x: np.ndarray, reach: np.ndarray, anchor: np.ndarray) -> None:
+        """Anew at x, with the history's reactions."""
+        parts = [
+            self._layers(k, p, x, anchor) if isinstance(p, SelfContact) else self._obstacle(k, p, x, reach)
+            for k, p in enumerate(self.contact.partners)
+        ]
+        joined = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Linearised))
+        found = _Linearised(*joined)
+        found = self.found = found.each(np.argsort(self._levels(found), kind="stable"))
+        touched = found.vertex[found.weight != 0.0]
+        self._shared = len(np.unique(touched)) < len(touched)
+        self.laws = _projective.LocalContacts(
+            found.vertex,
+            found.weight,
+            found.gap,
+            found.normal,
+            found.anchor,
+            found.start,
+            found.friction,
+            found.reaction,
+        )
+
+    def _obstacle(self, k: int, partner: ObstacleContact, x: np.ndarray, reach: np.ndarray) -> _Linearised:
+        history, t = self.contact.history, self.t
+        if len(self.gaps) == k:
+            self.gaps.append((partner.gaps(x, t, history), x))
+        gap, at = self.gaps[k]
+        # Distances change no faster than positions.
+        near = gap - np.linalg.norm(x - at, axis=1) < reach
+        rows = np.flatnonzero((near | (history.normal[k] > 0.0)) & partner.movable(history))
+        g = partner.geometry(rows, x, t, history)
+        table = np.full((len(x), 12), np.nan)
+        table[rows, 0], table[rows, 1:4] = g.gap, g.gradient
+        ones = np.ones((len(rows), 1))
+        table[rows, 4:7] = x[rows] - partner.moved(rows, ones, x, t, history)
+        table[rows, 7], table[rows, 8:11] = history.normal[k][rows], history.friction[k][rows]
+        table[rows, 11] = partner.counted(rows, history)
+        table, x = self._gather(table), self._gather(x)
+        rows = np.flatnonzero(np.isfinite(table[:, 0]))
+        table = table[rows]
+        vertex, weight = np.zeros((len(rows), MOST), dtype=np.int32), np.zeros((len(rows), MOST))
+        vertex[:, 0], weight[:, 0] = rows, 1.0
+        return self._made(k, rows, vertex, weight, table[:, 0], table[:, 1:4], x[rows], table[:, 4:])
+
+    def _layers(self, k: int, partner: SelfContact, x: np.ndarray, anchor: np.ndarray) -> _Linearised:
+        wide, wide_anchor = partner.gather(x), partner.gather(anchor)
+        self.contact.history = partner.renewed(wide, self.contact.history, k)
+        history = self.contact.history
+        gap = partner.gaps(wide_anchor, self.t, history)
+        rows = np.flatnonzero(np.isfinite(gap) & partner.movable(history))
+        g = partner.geometry(rows, wide_anchor, self.t, history)
+        at = np.einsum("cs,csi->ci", g.weight, wide_anchor[g.vertex])
+        rest = np.empty((len(rows), 8))
+        rest[:, :3] = at - partner.moved(rows, g.weight, wide_anchor, self.t, history)
+        rest[:, 3], rest[:, 4:7] = history.normal[k][rows], history.friction[k][rows]
+        rest[:, 7] = partner.counted(rows, history)
+        return self._made(k, rows, g.vertex.astype(np.int32), g.weight, g.gap, g.gradient, at, rest)
+
+    def _made(self, k: int, rows, vertex, weight, gap, gradient, anchor, rest) -> _Linearised:
+        count, contact = len(rows), self.contact
+        length = np.linalg.norm(gradient, axis=1)
+        normal = gradient / length[:, None]
+        reaction = rest[:, 3, None] * gradient + within(normal, rest[:, 4:7])
+        same = np.ones(count)
+        return _Linearised(
+            np.full(count, k),
+            rows,
+            vertex,
+            weight,
+            gap / length,
+            length,
+            normal,
+            anchor,
+            rest[:, :3],
+            reaction,
+            contact.partners[k].friction * same,
+            contact.rho(k) * same,
+            rest[:, 7].astype(np.uint8),
+        )
+
+    def _levels(self, found: _Linearised) -> np.ndarray:
+        """(c,) 0 with obstacles, of layers one more than the contacts that they meet nearer to an obstacle."""
+        layered = found.partner == len(self.contact.obstacles)
+        level = np.where(layered, len(layered), 0)
+        reached = np.zeros(len(self.inertia), dtype=bool)
+        reached[found.vertex[~layered, 0]] = True
+        for now in range(1, len(layered) + 1):
+            touched = (reached[found.vertex] & (found.weight != 0.0)).any(axis=1)
+            fresh = layered & (level == len(layered)) & touched
+            if not fresh.any():
+                break
+            level[fresh] = now
+            reached[found.vertex[fresh][found.weight[fresh] != 0.0]] = True
+        return level
+
+    # ---- an iteration ----
+
+    def sweep(self, x: np.ndarray) -> np.ndarray:
+        """The reactions that carry vertices from where inertia alone leads them, positions x (n, 3) m with the present
+        reactions, to where the laws hold; (n, 3) N, what the shell's forces have changed by."""
+        before, moved = self.force(), np.array(self._gather(x))
+        first = self.laws.sweep(moved, self.inertia)
+        # One pass is exact where no vertex has two contacts.
+        for _ in range(SWEEPS - 1 if self._shared else 0):
+            if self.laws.sweep(moved, self.inertia) <= SETTLED**2 * first:
+                break
+        return self.force() - before
+
+    def force(self) -> np.ndarray:
+        """(n, 3) reactions on the shell (N)."""
+        total = np.zeros((len(self.inertia), 3))
+        self.laws.spread(total)
+        return self.contact.itself.restrict(total) if self.contact.itself else total
+
+    def mismatch(self, x: np.ndarray) -> float:
+        """Sum of |r - projected trial reaction|^2 (N^2) over this rank's contacts, at positions x (n, 3)."""
+        assert self.found is not None
+        return self.laws.mismatch(np.ascontiguousarray(self._gather(x)), self.found.rho, self.found.counted)
+
+    def remember(self) -> None:
+        """The reactions become the history's."""
+        found, contact = self.found, self.contact
+        if found is None:
+            return
+        reaction = np.empty_like(found.normal)
+        self.laws.reaction(reaction)
+        normal = np.einsum("ci,ci->c", found.normal, reaction)
+        friction = reaction - normal[:, None] * found.normal
+        for k in range(len(contact.partners)):
+            rows = found.partner == k
+            values = np.column_stack([normal[rows] / found.length[rows], friction[rows]])
+            if contact.itself and k < len(contact.obstacles):
+                total = np.zeros((len(self.inertia), 4))
+                total[found.row[rows]] = values
+                contact.history.normal[k], contact.history.friction[k] = np.split(
+                    contact.itself.restrict(total), [1], axis=1
+                )
+                contact.history.normal[k] = contact.history.normal[k].ravel()
+            else:
+                contact.history.normal[k] = np.zeros_like(contact.history.normal[k])
+                contact.history.friction[k] = np.zeros_like(contact.history.friction[k])
+                contact.history.normal[k][found.row[rows]] = values[:, 0]
+                contact.history.friction[k][found.row[rows]] = values[:, 1:]

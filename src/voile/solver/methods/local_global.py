@@ -1,0 +1,155 @@
+"""Projective Dynamics with dry friction (Bouaziz et al. 2014; Ly, Jouve, Boissieux & Bertails-Descoubes 2020).
+
+An implicit step x minimises c/2 |x - predicted|^2_M + E(x) under contact's laws. Elements project their deformation on
+what is free of energy (local); the positions come from a constant matrix A = c M + K (global), factored once per run.
+With the forces F of all terms that is x <- x + A^-1 (F(x) + r), for K is the energies' Hessian with projections held.
+Reactions r are estimated contact by contact: vertices go where inertia alone leads them, x + (F + r)/(c M), and the
+laws cut that motion. A fixed point obeys balance and laws exactly; stopped before, it is a prediction.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.contact.local import LocalLaws
+from voile.problem.contact import contact_of
+from voile.problem.inertia import Inertia, mass_blocks
+from voile.problem.problem import Problem
+from voile.problem.projective import constant_blocks
+from voile.solver.anderson import Anderson
+from voile.solver.constant import ConstantMatrix
+from voile.solver.linear import Counts
+from voile.solver.methods.method import Outcome
+
+SIZES = 2  # of time steps whose factors are kept
+
+
+@dataclass
+class Options:
+    """iterations at most. renew: iterations after which contacts are linearised anew. near: sizes of the shell beyond
+    its motion in the step within which a vertex may come into contact. depth: of Anderson's acceleration, 0 without.
+    growth: of a step over the last one, beyond which acceleration starts anew."""
+
+    iterations: int = 20
+    renew: int = 10
+    near: float = 1e-4
+    depth: int = 5
+    growth: float = 2.0
+
+
+class LocalGlobal:
+    """A method for the problems of steps, which have an inertia term. It stops at the tolerance or after its
+    iterations, and says which in the outcome; `norms`: of balance and laws (N) at the end."""
+
+    name = "local-global"
+
+    def __init__(self, problem: Problem, options: Options | None = None):
+        self.options, self.counts = options or Options(), Counts()
+        self.blocks = constant_blocks(problem.part)
+        self.norms = (np.inf, 0.0)
+        self._matrices: dict[float, tuple[ConstantMatrix, np.ndarray]] = {}
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        step, most = _Step(self, problem, y), self.options.iterations
+        for iteration in range(most + 1):
+            step.measure(y, iteration % self.options.renew == 0 or iteration == most)
+            if step.norm <= tolerance and not step.fresh:
+                step.measure(y, True)
+            if step.norm <= tolerance or iteration == most or not np.isfinite(step.norm):
+                break
+            step.advance(y)
+            self.counts.iterations += 1
+        step.finish()
+        self.norms = step.norms
+        if not np.isfinite(step.norm):
+            return Outcome(False, self.name, "the iteration diverged")
+        reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
+        return Outcome(True, self.name, reason, norm=step.norm)
+
+    def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, np.ndarray]:
+        """A, and the diagonal of its inertia (own unknowns,) N/m."""
+        if coefficient not in self._matrices:
+            matrix = problem.create_matrix()
+            problem.assemble(matrix, self.blocks, [mass_blocks(problem.vertex_mass(), coefficient)])
+            inertia = coefficient * problem.mass().array_r
+            kept = list(self._matrices.items())[1 - SIZES :]
+            self._matrices = dict(kept) | {
+                coefficient: (ConstantMatrix(problem, matrix, self.counts), inertia)
+            }
+        return self._matrices[coefficient]
+
+
+class _Step:
+    """The iteration of one step in time. `norms`: of forces out of balance and of what the laws miss (N), where y was
+    last measured; fresh: with contacts as they are there."""
+
+    def __init__(self, method: LocalGlobal, problem: Problem, y: PETSc.Vec):
+        self.problem, self.options = problem, method.options
+        scheme = next(term for term in problem.terms if isinstance(term, Inertia))
+        self.terms = [term for term in problem.terms if term is not scheme and term is not problem.elastic]
+        self.mass, self.predicted = scheme.coefficient * scheme.mass[:, None], scheme.predicted
+        self.matrix, self.inertia = method.matrix(problem, scheme.coefficient)
+        self.force, self.direction = problem.create_vector(), problem.create_vector()
+        self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
+        self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
+        self.norms, self.fresh = (np.inf, 0.0), False
+        self.laws: LocalLaws | None = None
+        if problem.contact:
+            self.start = self.anchor = problem.contact.history.reference
+            self.laws = LocalLaws(problem.contact, self.mass.ravel(), problem.time)
+
+    @property
+    def norm(self) -> float:
+        """Of both together (N)."""
+        return float(np.hypot(*self.norms))
+
+    def measure(self, y: PETSc.Vec, fresh: bool) -> None:
+        """Evaluates forces and laws at y; fresh: contacts are linearised there, and what acts beside elasticity and
+        inertia is evaluated."""
+        problem, laws, missed = self.problem, self.laws, 0.0
+        self.fresh = fresh
+        at = problem.point(y)
+        self.x = at.positions
+        if fresh:
+            self.others = sum((term.forces(at) for term in self.terms), np.zeros(len(self._spread)))
+            if laws is not None:
+                self._linearise(laws, self.x)
+        forces = problem.elastic.forces(at)
+        forces += self.others
+        forces[: at.u.size] += (self.mass * (self.predicted - self.x)).ravel()
+        if laws is not None:
+            forces[: at.u.size] += laws.force().ravel()
+            missed = problem.comm.allreduce(laws.mismatch(self.x))
+        self.force.array[:] = problem.layout.collect(forces)
+        self.norms = float(self.force.norm()), float(np.sqrt(missed))
+
+    def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
+        contact, problem = contact_of(self.problem), self.problem
+        laws.remember()
+        if contact.itself and contact.free_share(self.start, x) == 1.0:
+            self.anchor = x
+        reach = np.linalg.norm(x - self.start, axis=1) + self.options.near * problem.size()
+        laws.linearise(x, reach, self.anchor)
+
+    def advance(self, y: PETSc.Vec) -> None:
+        """One iteration from y, where `force` has been measured."""
+        problem, force, direction = self.problem, self.force, self.direction
+        if self.laws is not None:
+            direction.array[:] = force.array_r / self.inertia
+            change = self.laws.sweep(self.x + problem.motion(direction))
+            self._spread[: change.size] = change.ravel()
+            force.array[:] += problem.layout.collect(self._spread)
+        self.matrix.solve(force, direction)
+        size = direction.norm()
+        if size > self.options.growth * self.stepped:
+            self.anderson.forget()
+        self.stepped = size
+        self.anderson.step(y.array_r, direction.array_r, force.array)
+        y.axpy(1.0, force)
+
+    def finish(self) -> None:
+        """The reactions become the contact's."""
+        if self.laws is not None:
+            self.laws.remember()

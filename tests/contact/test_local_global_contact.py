@@ -1,0 +1,129 @@
+"""Projective Dynamics with dry friction: what sticks stays, what slides slides as Coulomb says."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import protocols
+import pytest
+from falling import G, Slope, cloth, turning_sphere
+from marching import March
+
+from voile.problem.contact import with_obstacles
+from voile.problem.problem import Problem
+from voile.solver.cascade import Cascade
+from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
+from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.local_global import LocalGlobal, Options
+from voile.solver.methods.method import Workspace
+from voile.solver.methods.semismooth import Semismooth, law_norms
+
+
+def local_global(problem, iterations=2000, **options):
+    return LocalGlobal(problem, Options(iterations=iterations, **options))
+
+
+def newton(problem):
+    work = Workspace(problem)
+    semismooth = Semismooth(work)
+    descent = Descent(work)
+    firm = AugmentedLagrangian(descent, semismooth, 0.0, LagrangianOptions(softest=1.0))
+    return Cascade([semismooth, firm])
+
+
+@pytest.mark.parametrize(("angle", "friction"), [(45.0, 0.1), (45.0, 0.6), (30.0, 0.0)])
+def test_a_falling_sheet_lands_and_slides_down(angle, friction):
+    """Ly et al. 2020, figure 5: perfectly plastic impact with friction, then a constant acceleration."""
+    slope, drop, h = Slope(np.radians(angle)), 0.2, 1e-3
+    problem = slope.problem(friction, lift=drop)
+    march, solver = March(problem, 0.0, h, 1e-10), local_global(problem)
+    rate, moving = np.sin(slope.angle) - friction * np.cos(slope.angle), []
+    while march.time < 0.35:
+        march.step(solver.solve)
+        moving.append([march.time, *march.velocity.mean(axis=0), np.ptp(march.velocity, axis=0).max()])
+        assert (march.x @ slope.normal).min() > -1e-12
+    time, velocity, spread = np.split(np.array(moving), [1, 4], axis=1)
+    time, landed = time.ravel(), np.flatnonzero(problem_landed(velocity, slope))[0]
+    impact = np.sqrt(2.0 * drop / G)
+    assert time[landed] == pytest.approx(impact, abs=2.0 * h)
+    down, after = velocity @ slope.down, slice(landed + 1, None)
+    exact = G * impact * rate + G * rate * (time - impact)
+    assert np.abs(down[after] / exact[after] - 1.0).max() < 0.01  # h over the time of the fall
+    acceleration = np.diff(down[after]) / h
+    assert np.abs(acceleration / (G * rate) - 1.0).max() < 1e-6
+    assert spread.max() < 1e-9
+
+
+def problem_landed(velocity, slope):
+    """(steps,) marks those after which nothing moves into the slope."""
+    return np.abs(velocity @ slope.normal) < 1e-9
+
+
+@pytest.mark.parametrize("angle", [10.0, 30.0])
+def test_stick_and_slip_on_a_slope(angle):
+    slope, h = Slope(np.radians(angle)), 0.01
+    for share in (1.00001, 0.99999):
+        problem = slope.problem(share * np.tan(slope.angle))
+        march, solver = March(problem, 0.0, h, 1e-12), local_global(problem)
+        march.run(solver.solve, 20)
+        speed, exact = march.velocity @ slope.down, G * np.sin(slope.angle) * (1.0 - share) * march.time
+        if share > 1.0:
+            assert np.abs(march.velocity).max() < 1e-12
+        else:
+            assert np.abs(speed / exact - 1.0).max() < 1e-6
+
+
+def test_a_sliding_sheet_stops_and_stays():
+    """After v0/(mu g) and v0^2/(2 mu g), to the step's order."""
+    slope, friction, speed, h = Slope(0.0), 0.4, 1.0, 1e-3
+    problem = slope.problem(friction)
+    march, solver = March(problem, speed * slope.down, h, 1e-11), local_global(problem)
+    began, stop = march.x.copy(), speed / (friction * G)
+    march.run(solver.solve, int(stop / h) - 1)
+    assert np.abs(march.velocity).max() > 0.0
+    march.run(solver.solve, 3)
+    way = (march.x - began) @ slope.down
+    assert np.abs(way - speed**2 / (2.0 * friction * G)).max() < h * speed
+    there = march.x.copy()
+    march.run(solver.solve, 500)
+    assert np.abs(march.x - there).max() < 1e-14
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_steps_on_a_turning_sphere_are_newtons(friction):
+    points, triangles = protocols.plate(1.0, 1.0, 0.1)
+    shell = cloth(points - [0.45, 0.48, 0.0], triangles, young=1e4)
+    sphere = turning_sphere(friction, 0.3, -0.02, 2.857)
+    ours, theirs = (with_obstacles(Problem(shell), [sphere], 5e-4) for _ in range(2))
+    fast, slow = March(ours, 0.0, 0.01, 1e-8), March(theirs, 0.0, 0.01, 1e-10)
+    quick, exact = local_global(ours), newton(theirs)
+    for _ in range(30):
+        fast.step(quick.solve)
+        slow.step(exact.solve)
+        assert np.abs(fast.x - slow.x).max() < 1e-6
+        f = fast.y.duplicate()
+        step = ours.at(fast.time)
+        assert law_norms(step, fast.y, f, 1e-8 * fast.scale)[1] < 1e-8 * fast.scale
+    normal, theirs = ours.contact.history.normal[0], theirs.contact.history.normal[0]
+    assert (theirs > 0.0).sum() > 20
+    assert np.abs(normal - theirs).max() < 1e-5 * theirs.max()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("name", "steps", "exact"), [("free", 100, 1e-10), ("sphere", 60, 1e-6), ("layers", 14, 1e-6)]
+)
+def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, name, steps, exact):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    found = []
+    for ranks in (1, 2, 4):
+        program = Path(__file__).with_name("local_global_ranks.py")
+        done = mpirun(ranks, [sys.executable, program, name, steps, tmp_path / f"{ranks}.npz"], 300)
+        assert done.returncode == 0, done.stderr
+        found.append(np.load(tmp_path / f"{ranks}.npz"))
+    first = found[0]
+    assert np.ptp(first["x"][:, 2]) > (1e-3 if name == "layers" else 0.1)
+    for other in found[1:]:
+        assert np.abs(other["x"] - first["x"]).max() < exact
+        assert np.abs(other["reaction"] - first["reaction"]).max() <= 1e-5 * np.abs(first["reaction"]).sum()
