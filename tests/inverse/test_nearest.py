@@ -14,7 +14,7 @@ from test_adjoint import wave
 from test_direct import heavy_strip, rod, solve
 
 from voile.inverse.direct import Direct
-from voile.inverse.neighbours import Neighbours, Place
+from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.spectral import Model, barrier
@@ -60,7 +60,7 @@ def neighbours(kind):
     assert path.converged
     beside = Neighbours(Direct(target), target.touching())
     beside.cut = np.inf  # as many modes as it takes
-    place = Place(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
+    place = Checkpoint(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
     assert beside.linearise(place) and beside.settle(place)
     gradient = beside.still()
     gradient.s.axpy(1.0, beside.weigh(wave(target, 0.3, 2e-5)))

@@ -11,7 +11,7 @@ The norm counts displacements and, over a short length, their gradients: in that
 rough from vertex to vertex. The path starts where the direct method stopped and follows the load to its full value.
 
 Each step minimises a model in which the stiffness projected on the lowest modes, V^T K V, is affine in x: modes repel
-each other, which the slopes of the eigenvalues do not tell.
+each other, which the slopes of the eigenvalues do not tell. A trust region bounds moves (Conn, Gould and Toint 2000).
 """
 
 import math
@@ -23,26 +23,30 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.inverse.direct import Direct, DirectPath
-from voile.inverse.neighbours import Move, Neighbours, Place
+from voile.inverse.neighbours import Checkpoint, Move, Neighbours, Tangent
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 from voile.problem.problem import Problem
 
-MARGIN, LEAST_MARGIN = 16.0, 1.0  # over g/L, of the way, and where it is given up
-LESS, MORE = 6 * (0.5,), 3 * (2.0,)  # margins tried in turn, over the one before
+MARGIN, LEAST_MARGIN = 8.0, 1.0  # over g/L, of the way, and where it is given up
+LESS, MORE = 6 * (0.5,), 4 * (2.0,)  # margins tried in turn, over the one before
 SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
-IDLE = 0.98  # of the sag: a smaller margin that leaves more wins nothing
-SHARES = 0.05, 0.002  # mu over half the squared distance, on the way and at its end
-LEAST = 1e-8, 1e-10  # mu at least
+IDLE = 0.8  # of the sag: a smaller margin that leaves more wins little
+SHARES = 1.0, 0.002  # mu over half the squared distance, on the way and at its end
+FALL = 0.2  # of mu in a step, at the end of the way
+SMALL = 0.7, 0.01  # thicknesses: distance from the target that mu counts at least
 NOTHING = 1e-16  # a merit from which there is nothing more to win
-FIRST, SHORTEST = 0.1, 1e-4  # of the way: steps
-STIFFEST = 1e8  # damping
+SHORTEST = 1e-3  # thicknesses: radius of the trust region, which begins with one thickness
+STALLS = 0.05  # thicknesses: radius on the way from which the rest shape's moves count less
+KEEP = 0.5  # of the lowest eigenvalue above the margin that a step without load would have: one with load keeps it
+STUCK = 1e-3  # of the way: a shorter step of load is none
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
-SETTLED, FINE = 0.3, 0.02  # of the merit that a step could still win: on the way, and where that fails
-EXACT = 1e-3  # and in the answer
-STEPS, EXTRA = 300, 100  # of the way to the full load; from one margin to the next
-INDEPENDENT = 1e-10  # eigenvalues of scaled products, over the largest
+ANEW = 2  # proposals after one whose eigenvalues sank too far, before the radius shrinks
+SHARP = 5.0  # cuts within a thickness: what sinks faster is a mode that the model does not know
+SETTLED, FINE, EXACT = 0.3, 0.02, 0.005  # of the merit that a step could win: sag slight; way; answer
+STEPS, EXTRA = 300, 30  # of the way to the full load; from one margin to the next
+PRECISE = 1e-5  # residual over the loads' norm, on the way
 
 
 @dataclass
@@ -75,73 +79,33 @@ class NearestPath:
 
 @dataclass
 class Local:
-    """The model at a place, in units of `cut` (1/s^2), what a step of 1 along the way adds to its matrix, the merit
-    there and the distance's part of it; moves are `basis` @ `ortho` @ coordinates, and `loaded` for a step of 1 along
-    the way of load and margin."""
+    """The model at a point, in units of `cut` (1/s^2), what all of the way adds to its matrix, the merit there and the
+    distance's part of it; moves are those of the tangent, and `loaded`, of length `reach`, for all of the way; `end`:
+    mu that settles there."""
 
     model: Model
     cut: float
     rise: np.ndarray
     merit: float
     half: float
-    basis: list[Move]
-    ortho: np.ndarray
+    tangent: Tangent
     loaded: Move
-    way: tuple[float, float]
+    reach: float
+    end: float
 
 
 @dataclass
 class Trial:
-    """A place proposed (None: none), the merit and the lowest eigenvalue above the margin that its model has there, in
-    cuts."""
+    """A point proposed, a share of the way ahead, the length of the move to it, and the merit and the lowest eigenvalue
+    above the margin, in cuts, that its model has there; sink: of its eigenvalues by the square of the length, where it
+    is an equilibrium."""
 
-    place: Place | None
+    point: Checkpoint
+    share: float
+    length: float
     merit: float
     lowest: float
-
-
-@dataclass
-class Pace:
-    """How the next step goes. left: of the way; share: of the way, for a step along it (`moving`), else the step stays
-    where the last one ended; damping: of its move; enough: share of the merit that a step must win there; mu: the last
-    one at the end of the way; settled: whether that end is reached."""
-
-    left: float = 1.0
-    share: float = FIRST
-    damping: float = 0.0
-    moving: bool = True
-    enough: float = SETTLED
-    mu: float = math.inf
-    settled: bool = False
-
-    @property
-    def at_end(self) -> bool:
-        return not self.left
-
-    @property
-    def step(self) -> float:
-        return min(self.share, self.left) if self.moving else 0.0
-
-    def slower(self) -> bool:
-        """After a step that failed; whether there is another to try."""
-        if self.moving and self.enough > FINE:
-            self.moving, self.enough = False, FINE
-            return True
-        self.damping = max(4.0 * self.damping, 0.1)
-        self.share *= 0.5 if self.moving else 1.0
-        return self.share >= SHORTEST and self.damping <= STIFFEST
-
-    def after(self, quality: float) -> None:
-        """After a step of some quality."""
-        if self.moving:
-            self.left -= self.step
-            self.share *= 2.0 if quality > GOOD else 1.0
-            self.enough = SETTLED
-        elif quality > GOOD:
-            self.damping = 0.5 * self.damping if self.damping > 0.05 else 0.0
-        elif quality < FAIR:
-            self.damping = max(2.0 * self.damping, 0.1)
-        self.moving = False
+    sink: float | None = None
 
 
 class Clock:
@@ -171,139 +135,177 @@ class Nearest:
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
         self.beside = Neighbours(direct, target.touching())
+        self.first = self.problem.thickness() / self.problem.size()
+        self.last: Checkpoint | None = None
+        self.radius, self.sink, self.mu = self.first, 0.0, math.inf
 
     # ---- the path ----
 
     def advance(
-        self, place: Place, fraction: float, margin: float, exact: float = FINE
-    ) -> tuple[Place, bool]:
-        """From a settled place on the straight way to a fraction of the load and a margin: the nearest stable place
-        there and True, or the last one found on the way. A step of the way is followed by steps where it ends, until
-        those win little; less, where the next step of the way fails, and no more than a share `exact` at its end, where
-        the sag is more than slight and so many steps are left."""
-        way = (fraction - place.fraction, margin - place.margin)
-        pace = Pace() if any(way) else Pace(left=0.0, moving=False)
+        self, point: Checkpoint, fraction: float, margin: float, exact: float = FINE
+    ) -> tuple[Checkpoint, bool]:
+        """From a point to the nearest one at a fraction of the load with a margin and True, or the last one found on
+        the way. It is settled where a step could win no more than a share `exact`."""
+        point = replace(point, margin=min(point.margin, margin))
+        self.radius = max(self.radius, 0.1 * self.first)
         while self._goes_on():
             self.budget -= 1
-            if pace.at_end:
-                pace.enough = SETTLED if self._sag(place) <= SLIGHT else exact
-            trial = self._step(place, way, pace)
-            if trial is None or trial.place is None:
-                return place, pace.settled
-            place = trial.place
-            if pace.at_end:
-                place.fraction, place.margin = fraction, margin  # without round-off
-            self._note(place)
-        return place, pace.at_end
+            trial, settled = self._step(point, fraction, margin, exact)
+            if trial is None:
+                return point, settled
+            point = trial.point
+            if trial.share == 1.0:  # without round-off
+                point.fraction, point.margin = fraction, margin
+            self._note(point)
+        return point, point.fraction == fraction and point.margin == margin
 
     def _goes_on(self) -> bool:
         """Whether there are steps and time left. Collective."""
         return self.budget > 0 and not self.clock.over()
 
-    def _step(self, place: Place, way: tuple[float, float], pace: Pace) -> Trial | None:
-        """The next place, at a pace that is changed on the way there; None where there is none."""
-        local = self._model(place, way, pace)
-        while local:
-            trial = self._propose(local, place, pace)
-            if not pace.moving and local.merit - trial.merit <= pace.enough * max(local.merit, NOTHING):
-                if pace.at_end:
-                    pace.settled = True
-                    return None
-                pace.moving = True
+    def _step(
+        self, point: Checkpoint, fraction: float, margin: float, exact: float
+    ) -> tuple[Trial | None, bool]:
+        """The next point; None where there is none, and whether that is because little is left to win."""
+        way = (fraction - point.fraction, margin - point.margin)
+        enough = SETTLED if not any(way) and self._sag(point) <= SLIGHT else exact
+        local, tries = self._model(point, way), 0
+        while local and self.radius >= SHORTEST * self.first:
+            trial = self._propose(local, point, way)
+            if trial is None:
+                return None, False
+            if not trial.share and local.merit - trial.merit <= enough * max(local.merit, NOTHING):
+                if any(way) or self.mu <= local.end:
+                    return None, not any(way)
+                self.mu = max(local.end, FALL * self.mu)
+                local.model.mu = self.mu
+                local.merit = local.half + local.model.value(np.zeros(len(local.model.pull)))
                 continue
-            inside = self._entering(trial.place) if trial.place else np.zeros(0, dtype=bool)
+            inside = self._entering(trial.point)
             if not self.problem.everywhere(not inside.any()):
                 self.beside.hold(inside)
-                local = self._model(place, way, pace)
+                local = self._model(point, way)
                 continue
-            quality = self._quality(trial, local, pace.moving)
+            quality = self._quality(trial, local)
             if quality > POOR:
-                pace.after(quality)
-                return trial
-            if not pace.slower():
-                return None
-        return None  # nothing can be factored here
+                self._control_step(quality, trial.length)
+                return trial, False
+            if trial.sink is not None:
+                tries += 1
+                if tries <= ANEW and (trial.sink - self.sink) * self.first**2 <= SHARP:
+                    self.sink = trial.sink
+                    continue
+            self.radius, tries = 0.4 * min(self.radius, trial.length), 0
+            if any(way) and self.radius < STALLS * self.first and self.beside.loosen():
+                self.radius = self.first
+                local = self._model(point, way)
+        return None, False
 
-    def _model(self, place: Place, way: tuple[float, float], pace: Pace) -> Local | None:
-        """Linearises at a place; way: of the fraction and the margin, for a step of 1."""
-        beside, k = self.beside, len(place.values)
-        if not beside.linearise(place):
+    def _control_step(self, quality: float, length: float) -> None:
+        """The radius after a step of some quality and length."""
+        if quality > GOOD and length > 0.5 * self.radius:
+            self.radius *= 2.0
+        elif quality < FAIR:
+            self.radius = 0.5 * min(self.radius, length)
+
+    def _model(self, point: Checkpoint, way: tuple[float, float]) -> Local | None:
+        """Linearises at a point; way: what is left of fraction and margin."""
+        beside, k = self.beside, len(point.modes)
+        if not beside.linearise(point):
             return None
-        slopes, cut = beside.slopes(place), beside.cut
-        gradients = [Move(beside.weigh(place.s), self.problem.create_vector()), *slopes.values()]
-        basis = beside.moves(gradients)
-        gram = np.array([[g.dot(b) for b in basis] for g in gradients])
-        ortho = _orthonormal(0.5 * (gram + gram.T))
-        force = beside.load_slope(place)
-        force.scale(-way[0])
-        (loaded,) = beside.moves([beside.still()], residual=force)
+        slopes, cut = beside.slopes(point), beside.cut
+        pull = Move(beside.weigh(point.s), self.problem.create_vector())
+        tangent, loaded = beside.tangent(pull, slopes), beside.still()
+        if way[0]:
+            force = beside.load_slope(point)
+            force.scale(-way[0])
+            loaded = beside.least_move(force)
         rows, columns = np.array(list(slopes)).T
-        turn, ahead = np.zeros((ortho.shape[1], k, k)), np.zeros((k, k))
-        turn[:, rows, columns] = turn[:, columns, rows] = (gram[1:] @ ortho).T
+        turn, ahead = np.zeros((tangent.s.shape[1], k, k)), np.zeros((k, k))
+        turn[:, rows, columns] = turn[:, columns, rows] = tangent.slopes[:, 1:]
         ahead[rows, columns] = ahead[columns, rows] = [slope.dot(loaded) for slope in slopes.values()]
-        half, matrix = 0.5 * place.s.dot(gradients[0].s), np.diag(place.values - place.margin) / cut
-        mu = max(SHARES[pace.at_end] * half, LEAST[pace.at_end])
-        if pace.at_end:  # the steps there would not settle if it rose
-            mu = pace.mu = min(mu, pace.mu)
-        model = Model(matrix, turn / cut, gram[0] @ ortho, mu)
+        half, matrix = 0.5 * point.s.dot(pull.s), np.diag(point.values - point.margin) / cut
+        start, end = (
+            share * max(half, (small * self.first) ** 2) for share, small in zip(SHARES, SMALL, strict=True)
+        )
+        mu = self.mu = start if any(way) else min(self.mu, max(end, FALL * self.mu))
+        model = Model(matrix, turn / cut, tangent.slopes[:, 0], mu, tangent.form)
         rise = (ahead - way[1] * np.eye(k)) / cut
-        merit = half + model.value(np.zeros(ortho.shape[1]))
-        return Local(model, cut, rise, merit, half, basis, ortho, loaded, way)
+        merit = half + model.value(np.zeros(len(turn)))
+        return Local(model, cut, rise, merit, half, tangent, loaded, beside.length(loaded), end)
 
-    def _propose(self, local: Local, place: Place, pace: Pace) -> Trial:
-        """The minimiser of the model a step ahead."""
-        step = pace.step
-        model = replace(local.model, matrix=local.model.matrix + step * local.rise)
-        c = model.minimise(pace.damping)
+    def _propose(self, local: Local, point: Checkpoint, way: tuple[float, float]) -> Trial | None:
+        """The minimiser of the model within the radius, as far ahead as half of the stability is kept that it has
+        without load; None where there is none."""
+
+        def ahead(share: float) -> tuple[Model, np.ndarray | None]:
+            left = self.radius**2 - (share * local.reach) ** 2
+            lost = self.sink * (share * local.reach) ** 2 * np.eye(len(local.rise))
+            matrix = local.model.matrix + share * local.rise - lost
+            model = replace(local.model, matrix=matrix, sink=self.sink)
+            return model, model.within(math.sqrt(left)) if left > 0.0 else None
+
+        model, c = ahead(0.0)
         if c is None:
-            return Trial(None, math.inf, math.nan)
-        move = self.beside.still()
-        for weight, b in zip([*(local.ortho @ c), step], [*local.basis, local.loaded], strict=True):
-            move.axpy(weight, b)
-        there = place.beside(move, step * local.way[0], step * local.way[1])
-        lowest = float(np.linalg.eigvalsh(model.at(c))[0])
-        return Trial(there, local.half + model.value(c), lowest)
+            return None
+        share, far, least = 0.0, 1.0 if any(way) else 0.0, KEEP * model.lowest(c)
+        while far >= STUCK:
+            there, d = ahead(far)
+            if d is not None and there.lowest(d) >= least:
+                model, c, share = there, d, far
+                break
+            far *= 0.5
+        move = self.beside.move(local.tangent.s @ c, local.tangent.z @ c)
+        move.axpy(share, local.loaded)
+        return Trial(
+            point.beside(move, share * way[0], share * way[1]),
+            share,
+            math.hypot(float(np.linalg.norm(c)), share * local.reach),
+            local.half + model.value(c),
+            model.lowest(c),
+        )
 
-    def _quality(self, trial: Trial, local: Local, moving: bool) -> float:
+    def _quality(self, trial: Trial, local: Local) -> float:
         """How well a trial keeps what the model promised, 1: the lowest eigenvalue ahead, or the decrease of the merit
         here; negative where it is not stable."""
-        place = trial.place
-        if place is None or not self.beside.settle(place):
-            return -1.0
-        above = (place.values - place.margin) / local.cut
-        if moving:
+        point = trial.point
+        if not self.beside.settle(point):
+            return -math.inf
+        above = (point.values - point.margin) / local.cut
+        trial.sink = max(self.sink + (trial.lowest - float(above[0])) / trial.length**2, 0.0)
+        if above[0] <= 0.0:
+            return -math.inf
+        self.sink = max(trial.sink, 0.5 * self.sink)
+        if trial.share:
             return float(above[0]) / trial.lowest
-        half = 0.5 * place.s.dot(self.beside.weigh(place.s))
+        half = 0.5 * point.s.dot(self.beside.weigh(point.s))
         merit = half + local.model.mu * float(barrier(above)[0].sum())
         return (local.merit - merit) / (local.merit - trial.merit)
 
-    def _entering(self, place: Place) -> np.ndarray:
-        """(n,) the local vertices that a place has inside an obstacle."""
-        self.beside.go_to(place)
-        x = self.problem.positions(self.beside.direct.state(place.z))
+    def _entering(self, point: Checkpoint) -> np.ndarray:
+        """(n,) the local vertices that a point has inside an obstacle."""
+        self.beside.go_to(point)
+        x = self.problem.positions(self.beside.direct.state(point.z))
         inside = np.zeros(len(x), dtype=bool)
         for body, floor in zip(self.target.obstacles, self.floor, strict=True):
             inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
         return inside & self.target.movable
 
-    def reach(self, path: DirectPath, margin: float) -> tuple[Place, bool]:
+    def reach(self, path: DirectPath, margin: float) -> tuple[Checkpoint, bool]:
         """`advance` from where the direct method stopped to the full load, with less margin where the way ends."""
-        place = Place(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
-        if not (self.beside.linearise(place) and self.beside.settle(place)):
-            return place, False
-        # the way is easier away from the loss of stability
-        place, _ = self.advance(place, place.fraction, margin)
-        place, reached = self.advance(place, 1.0, place.margin)
-        while not reached and place.margin >= 2.0 * LEAST_MARGIN * self.beside.slow and self._goes_on():
-            place.margin *= 0.5
-            place, reached = self.advance(place, 1.0, place.margin)
-        return place, reached
+        point = Checkpoint(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
+        if not (self.beside.linearise(point) and self.beside.settle(point)):
+            return point, False
+        point, reached = self.advance(point, 1.0, margin)
+        while not reached and point.margin >= 2.0 * LEAST_MARGIN * self.beside.slow and self._goes_on():
+            point, reached = self.advance(point, 1.0, 0.5 * point.margin)
+        return point, reached
 
-    def confirm(self, first: Place, stays: Stays) -> Place:
-        """The place of least margin, half by half, that stays, or the first firmer one; this one where none does."""
+    def confirm(self, first: Checkpoint, stays: Stays) -> Checkpoint:
+        """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
 
-        def firm(place: Place) -> bool:
-            return stays(place.z, self._sag(place))
+        def firm(point: Checkpoint) -> bool:
+            return stays(point.z, self._sag(point))
 
         if self.clock.over():
             return first
@@ -313,50 +315,53 @@ class Nearest:
                 break
             self.budget = EXTRA
             trial, reached = self.advance(found, 1.0, factor * found.margin)
-            if not reached:
+            if not reached or (holds and self._sag(trial) > IDLE * self._sag(found)):
                 break
             if firm(trial) != holds:
                 return found if holds else trial
-            wins = self._sag(trial) <= IDLE * self._sag(found)
             found = trial
-            if holds and not wins:
-                break
-        return found if holds else first
+        return found if holds else self.nearer(first)
 
-    def settled(self, place: Place) -> Place:
-        """The nearest place with the same margin, as near as steps bring there."""
+    def nearer(self, point: Checkpoint) -> Checkpoint:
+        """From a point that simulations leave, with whatever margin: the nearest that steps find which count the rest
+        shape's moves the least."""
+        if not self.beside.loosen():  # the way has led along those
+            return point
+        while self.beside.loosen():
+            pass
+        self.budget, self.radius = EXTRA, max(self.radius, self.first)
+        self.mu = SHARES[0] * 0.5 * point.s.dot(self.beside.weigh(point.s))
+        return self.advance(point, 1.0, point.margin, EXACT)[0]
+
+    def settled(self, point: Checkpoint, margin: float) -> Checkpoint:
+        """The nearest point with a margin, as near as steps bring there."""
         self.budget = EXTRA
-        return self.advance(place, 1.0, place.margin, EXACT)[0]
+        return self.advance(point, 1.0, margin, EXACT)[0]
 
-    def outcome(self, place: Place) -> NearestPath:
-        """A place as result."""
-        state = self.beside.go_to(place)
-        lowest, mode = float(place.values[0]), place.modes[0].copy()
+    def outcome(self, point: Checkpoint) -> NearestPath:
+        """A point as result, and its last step."""
+        if self.last is not point:
+            self._note(point)
+        self.beside.polish(point)
+        state = self.beside.go_to(point)
+        lowest, mode = float(point.values[0]), point.modes[0].copy()
         mode.scale(1.0 / mode.norm(PETSc.NormType.INFINITY))
-        margin = place.margin / self.beside.slow
+        margin = point.margin / self.beside.slow
         return NearestPath(
-            place.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps), place.fraction,
+            point.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps), point.fraction,
             self.clock.ended,
         )  # fmt: skip
 
-    def _sag(self, place: Place) -> float:
+    def _sag(self, point: Checkpoint) -> float:
         """Largest displacement from the target over the size."""
-        self.beside.go_to(place)
-        return sag(self.target, self.beside.direct.state(place.z))
+        self.beside.go_to(point)
+        return sag(self.target, self.beside.direct.state(point.z))
 
-    def _note(self, place: Place) -> None:
-        self.steps.append(NearestStep(place.fraction, self._sag(place), float(place.values[0]), place.margin))
+    def _note(self, point: Checkpoint) -> None:
+        self.last = point
+        self.steps.append(NearestStep(point.fraction, self._sag(point), float(point.values[0]), point.margin))
         if self.on_step:
             self.on_step(self.steps[-1])
-
-
-def _orthonormal(gram: np.ndarray) -> np.ndarray:
-    """(p, q) combinations of p vectors with these products that are orthonormal, dependent ones left out."""
-    size = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    theta, q = np.linalg.eigh(gram * scale * scale[:, None])
-    kept = theta > INDEPENDENT * theta[-1]
-    return scale[:, None] * q[:, kept] / np.sqrt(theta[kept])
 
 
 def approach(
@@ -372,20 +377,19 @@ def approach(
     from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. seconds: of
     the search (0: no limit), which then ends with the last stable shape. None where the full load is not reached before
     that, or nothing is free to move."""
-    clock, stable = Clock(target.problem, seconds), list[tuple[Nearest, Place]]()
+    clock, stable = Clock(target.problem, seconds), list[tuple[Nearest, Checkpoint]]()
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
-        search = Nearest(Direct(target), clock, on_step)
-        if not search.beside.movable.sum():  # all of it touches
+        search = Nearest(Direct(target, PRECISE), clock, on_step)
+        if not search.beside.movable:  # all of it touches
             return None
-        place, reached = search.reach(path, first * search.beside.slow)
+        point, reached = search.reach(path, first * search.beside.slow)
         if reached:
-            wanted = margin * search.beside.slow
-            place = search.advance(place, 1.0, wanted)[0] if margin else search.confirm(place, stays)
-            return search.outcome(search.settled(place))
-        if len(place.values):
-            stable.append((search, place))
+            point = search.settled(point, margin * search.beside.slow or point.margin)
+            return search.outcome(point if margin else search.confirm(point, stays))
+        if len(point.values):
+            stable.append((search, point))
         if clock.over() and stable:
-            search, place = max(stable, key=lambda each: each[1].fraction)
-            return search.outcome(place)
+            search, point = max(stable, key=lambda each: each[1].fraction)
+            return search.outcome(point)
     return None

@@ -1,11 +1,16 @@
 """Equilibria beside a target: shapes displaced from it, their rest shapes, softest modes, and how these change.
 
-A neighbour has a displacement s of the shape and a rest shape z with R(s, z) = 0. Neither follows from the other where
-dR/dz or K = dR/ds is singular; together they always do: moves on the manifold of equilibria solve
+A neighbour has a displacement s of the shape and a rest shape z with R(s, z) = 0. Moves on this manifold of equilibria
 
-    min |ds|^2_A / 2 + weight |dz|^2_B / 2 - (a, ds) - (b, dz)   with   K ds + (dR/dz) dz = r,
+    K ds + D dz = r,   K = dR/ds,   D = dR/dz,
 
-one factorisation for all at a place. A and B are metrics of displacements and of their gradients over a short length.
+are known by their ds: dz = D^-1 (r - K ds). One LU factorisation of D at a point, with K's own fill, and one Cholesky
+factorisation of the metric of displacements, for good, serve for all of them. The length of a move counts both,
+
+    |ds|^2_A + weight |dz|^2_B,
+
+so that moves stay short where D is nearly singular and the direct branch turns back. A and B are metrics of
+displacements and of their gradients over a short length.
 """
 
 import math
@@ -13,22 +18,27 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
+from voile.inverse.columns import Factor, orthonormal, products, times
 from voile.inverse.direct import Direct
+from voile.inverse.modes import Modes
 from voile.problem.rest import rest_areas
 from voile.problem.scales import slow_rate
-from voile.solver.linear import add_mass, factorisation_error, use_cholesky
 
-CUT = 30.0  # slow rates above the margin under which modes are known
-MODES = 12  # at most
-WEIGHT = 1e-2  # of the rest shape's moves beside the shape's
-ALONG = 1e-4  # sizes of the shell: differences along modes
+CUT = 20.0  # slow rates above the margin under which modes are known
+WEIGHT = 1.0  # of the rest shape's moves beside the shape's: with less they grow rough, and simulations leave answers
+LOOSER, LEAST_WEIGHT = (
+    0.1,
+    0.02,
+)  # times that, where steps grow short or simulations leave answers anyway; down to this
+ALONG = 1e-5  # sizes of the shell: differences along modes, whose error must not tell equal modes apart
+EXACT = 1e-10  # residual over the loads' norm, of an answer
 REACH = 0.05  # sizes of the shell, over which gradients count
+CHORDS, RENEWALS = 20, 6  # iterations; factors
+CONTRACTS = 0.3  # of the residual that one of them leaves at most
 RESTORATIONS = 15  # moves
 WORST = 100.0  # growth of the residual in one of them
-WORK_SPACE = 100  # per cent, of MUMPS beyond its estimate: pivoting wants it
-TOLERANCE = 1e-10  # residual over the loads' norm
+DESCENTS = 4  # of conjugate gradients, for moves
 
 
 @dataclass
@@ -47,7 +57,7 @@ class Move:
 
 
 @dataclass
-class Place:
+class Checkpoint:
     """A stable equilibrium: displacement s of the shape from the target, its rest shape z, the fraction of the load,
     the margin (1/s^2), the lowest eigenvalues (1/s^2) and their modes of unit mass."""
 
@@ -58,9 +68,23 @@ class Place:
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     modes: list[PETSc.Vec] = field(default_factory=list)
 
-    def beside(self, move: Move, load: float, margin: float) -> "Place":
-        """Another place, not yet in equilibrium."""
-        return Place(self.s + move.s, self.z + move.z, self.fraction + load, self.margin + margin)
+    def beside(self, move: Move, load: float, margin: float) -> "Checkpoint":
+        """Another point, not yet in equilibrium."""
+        return Checkpoint(self.s + move.s, self.z + move.z, self.fraction + load, self.margin + margin)
+
+
+@dataclass
+class Tangent:
+    """Moves from a point: `s` and `z` (own, p) of a basis of orthonormal ones, the coordinates (p, g) in it of the
+    gradients that it was made for, and the quadratic form of ds alone."""
+
+    s: np.ndarray
+    z: np.ndarray
+    slopes: np.ndarray
+    form: np.ndarray
+
+
+Slopes = dict[tuple[int, int], Move]
 
 
 class Neighbours:
@@ -71,22 +95,17 @@ class Neighbours:
         self.direct, self.target, self.problem = direct, direct.target, direct.problem
         target, problem = self.target, self.problem
         target.rest.set(problem.create_vector())
-        self.mass = problem.mass()  # of all places: that of the target itself
-        self.masses = PETSc.Mat().createAIJ(target.tangent.getSizes(), nnz=1, comm=problem.comm)
-        self.masses.setUp()
-        self.masses.setDiagonal(self.mass)
-        self.masses.assemble()
+        self.mass = problem.mass()  # of all points: that of the target itself
         self.slow = slow_rate(problem)
         self.cut = CUT * self.slow
         self.free = target.rest.is_vertex.copy()
+        self.weight = WEIGHT
         self.rest_metric = self._create_metric(WEIGHT)
-        self.factor = PETSc.PC().create(comm=problem.comm)
-        self.factor.setOptionsPrefix("nearest_")  # statics' own switch pivoting off
-        use_cholesky(self.factor)
-        options = PETSc.Options("nearest_")
-        if not options.hasName("mat_mumps_icntl_14"):
-            options.setValue("mat_mumps_icntl_14", WORK_SPACE)
-        self.factor.setFromOptions()
+        self.modes = Modes(problem, self.mass)
+        self.across = target.tangent.duplicate()
+        self.factor = Factor(PETSc.PC.Type.LU, "nearest_", problem.comm)
+        self.renewed = Factor(PETSc.PC.Type.LU, "nearest_", problem.comm)
+        self.metric_factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_metric_", problem.comm)
         self.hold(held)
 
     def hold(self, vertex: np.ndarray) -> None:
@@ -94,8 +113,8 @@ class Neighbours:
         field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
         self.free &= self.target.field_vector(field).array_r == 0.0
         self.metric = self._create_metric(1.0)
-        self.movable = self.problem.create_vector()
-        self.movable.array[:] = self.free
+        self.metric_factor.set(self.metric)
+        self.movable = bool(self.problem.comm.allreduce(int(self.free.sum())))
 
     def _create_metric(self, weight: float) -> PETSc.Mat:
         """weight (M + (REACH L)^2 G) / (M L^2) on `free`, M the mass, G the integral of mass times gradients, L the
@@ -109,13 +128,21 @@ class Neighbours:
             blocks[:, axis:9:3, axis:9:3] = local
         matrix = problem.create_matrix()
         problem.assemble(matrix, blocks * (REACH * problem.size()) ** 2, ())
-        add_mass(matrix, self.mass, 1.0)
+        matrix.setDiagonal(self.mass, addv=PETSc.InsertMode.ADD_VALUES)
         matrix.scale(3.0 * weight / (self.mass.sum() * problem.size() ** 2))
         idle = np.flatnonzero(~self.free) + part.first_global
         matrix.zeroRowsColumns(
             idle.astype(np.int32), 3.0 * weight / (self.mass.getSize() * problem.size() ** 2)
         )
         return matrix
+
+    def loosen(self) -> bool:
+        """Counts the rest shape's moves less from now on; False where they count the least already."""
+        if self.weight <= LEAST_WEIGHT:
+            return False
+        self.weight *= LOOSER
+        self.rest_metric.scale(LOOSER)
+        return True
 
     def weigh(self, s: PETSc.Vec) -> PETSc.Vec:
         """The gradient of |s|^2_A / 2 on what may move."""
@@ -126,167 +153,229 @@ class Neighbours:
 
     # ---- equilibria ----
 
-    def go_to(self, place: Place) -> PETSc.Vec:
-        """The problem at a place; its state."""
-        place.s.copy(self.direct.moved)
-        self.target.load(place.fraction)
-        self.target.rest.set(place.z)
-        self.target.hold(place.z)
-        return self.direct.state(place.z)
+    def go_to(self, point: Checkpoint) -> PETSc.Vec:
+        """The problem at a point; its state."""
+        point.s.copy(self.direct.moved)
+        self.target.load(point.fraction)
+        self.target.rest.set(point.z)
+        self.target.hold(point.z)
+        return self.direct.state(point.z)
 
-    def linearise(self, place: Place) -> bool:
-        """Takes the manifold's tangent at a place for `moves`; False where it cannot be factored."""
-        y = self.go_to(place)
+    def linearise(self, point: Checkpoint) -> bool:
+        """Takes the manifold's tangent at a point; False where it cannot be factored."""
+        y = self.go_to(point)
         self.direct.linearise(y)
-        across = self.target.stiffness(y).copy()
-        across.diagonalScale(None, self.movable)
-        back, aside = across.copy(), self.direct.matrix.copy()
-        back.transpose()
-        aside.transpose()
-        nest = PETSc.Mat().createNest(
-            [[self.metric, None, back], [None, self.rest_metric, aside], [across, self.direct.matrix, None]],
-            comm=self.problem.comm,
-        )
-        system = nest.convert(PETSc.Mat.Type.AIJ)
-        system.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.factor.setOperators(system)
-        self.factor.setUp()
-        for matrix in (nest, system, across, back, aside):
-            matrix.destroy()  # now, rather than when Python cleans up
-        return not factorisation_error(self.factor)
+        self.target.stiffness(y).copy(self.across, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return self.factor.set(self.direct.matrix)
 
-    def moves(self, gradients: list[Move], residual: PETSc.Vec | None = None) -> list[Move]:
-        """The moves of the module's minimum with (a, b) each of the gradients and r the residual (N)."""
-        n, last = len(self.free), 0.0 if residual is None else residual.array_r[:, None]
-        right = np.zeros((3 * n, len(gradients)))
-        right[:n] = np.where(self.free[:, None], np.stack([g.s.array_r for g in gradients], axis=1), 0.0)
-        right[n : 2 * n] = np.stack([g.z.array_r for g in gradients], axis=1)
-        right[2 * n :] = last
-        found = []
-        for column in self._solve(right).T:
-            move = self.still()
-            move.s.array[:] = np.where(self.free, column[:n], 0.0)
-            move.z.array[:] = column[n : 2 * n]
-            found.append(move)
-        return found
+    def settle(self, point: Checkpoint) -> bool:
+        """Brings a point near the one linearised to equilibrium, at its shape or else with the least move, and finds
+        its modes; whether there is one."""
+        start = point.z.copy()
+        if not self._balance(point):
+            start.copy(point.z)
+            if not self._restore(point):
+                return False
+        return self._find_modes(point)
+
+    def polish(self, point: Checkpoint) -> None:
+        """Brings the residual of a point in equilibrium down to round-off, or as near as Newton's method does."""
+        self.direct.tolerance, kept = EXACT, point.z.copy()
+        if not (self.linearise(point) and self._balance(point)):
+            kept.copy(point.z)
+
+    def _tolerance(self, y: PETSc.Vec) -> float:
+        return max(self.direct.tolerance * self.target.load_norm(y), self.direct.floor())
+
+    def _balance(self, point: Checkpoint) -> bool:
+        """Equilibrium at the point's shape, by Newton's method with a new factor only where the last one contracts the
+        residual too little."""
+        factor, f, step = self.factor, self.problem.create_vector(), self.problem.create_vector()
+        norm, least, anew, kept = math.inf, math.inf, 0, point.z.copy()
+        for _ in range(CHORDS):
+            y = self.go_to(point)
+            self.target.residual(y, f)
+            before, norm = norm, f.norm()
+            if norm <= self._tolerance(y):
+                return not self.target.bounds.broken(self.target.rest)
+            if not norm < WORST * least:
+                return False
+            if norm > CONTRACTS * before:
+                if factor is self.factor and norm > least:  # a step of no use
+                    kept.copy(point.z)
+                    y = self.go_to(point)
+                    self.target.residual(y, f)
+                    norm = f.norm()
+                anew += 1
+                self.direct.linearise(y)
+                factor = self.renewed
+                if anew > RENEWALS or not factor.set(self.direct.matrix):
+                    return False
+            if norm < least:
+                least = norm
+                point.z.copy(kept)
+            factor.pc.apply(f, step)
+            point.z.axpy(-1.0, step)
+        return False
+
+    def _restore(self, point: Checkpoint) -> bool:
+        """Equilibrium by least moves, with a new factorisation where the last one has left more than a half."""
+        f, norm = self.problem.create_vector(), math.inf
+        for _ in range(RESTORATIONS):
+            y = self.go_to(point)
+            if self.target.bounds.broken(self.target.rest):
+                return False
+            self.target.residual(y, f)
+            before, norm = norm, f.norm()
+            if norm <= self._tolerance(y):
+                return True
+            if not norm < WORST * before or (norm > CONTRACTS * before and not self.linearise(point)):
+                return False
+            f.scale(-1.0)
+            step = self.least_move(f)
+            point.s.axpy(1.0, step.s)
+            point.z.axpy(1.0, step.z)
+        return False
+
+    # ---- moves ----
 
     def still(self) -> Move:
         """The move that is none."""
         return Move(self.problem.create_vector(), self.problem.create_vector())
 
-    def _solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions for all columns of a right-hand side (local rows, k) at once: the factor is read once."""
-        size, comm = ((len(right), PETSc.DECIDE), (PETSc.DECIDE, right.shape[1])), self.problem.comm
-        given, found = (PETSc.Mat().createDense(size, comm=comm) for _ in range(2))
-        for matrix in (given, found):
-            matrix.setUp()
-        given.getDenseArray()[:] = right
-        for matrix in (given, found):
-            matrix.assemble()
-        self.factor.getFactorMatrix().matSolve(given, found)
-        solution = found.getDenseArray().copy()
-        for matrix in (given, found):
-            matrix.destroy()  # now, rather than when Python cleans up
-        return solution
+    def length(self, move: Move) -> float:
+        """sqrt(|ds|^2_A + weight |dz|^2_B): for a translation, over the size."""
+        out, total = move.s.duplicate(), 0.0
+        for metric, part in ((self.metric, move.s), (self.rest_metric, move.z)):
+            metric.mult(part, out)
+            total += out.dot(part)
+        return math.sqrt(max(total, 0.0))
 
-    def settle(self, place: Place) -> bool:
-        """Brings a place near the one linearised to equilibrium, at its shape or else with the least move, and finds
-        its modes; whether it is stable, with the margin."""
-        y, z = self.go_to(place), place.z.copy()
-        if not self.direct.solve(z, place.fraction)[0]:
-            place.z = z
-        elif not self._restore(place):
-            return False
-        y = self.go_to(place)
-        return self._find_modes(place, y)
+    def _answer(self, s: np.ndarray) -> np.ndarray:
+        """dz (own, p) that keeps the balance under displacements s (own, p)."""
+        return -self.factor.solve(times(self.across, s))
 
-    def _restore(self, place: Place) -> bool:
-        """Equilibrium by moves, with a new factorisation where the last one has left more than a half."""
-        f, norm = self.problem.create_vector(), math.inf
-        for _ in range(RESTORATIONS):
-            y = self.go_to(place)
-            if self.target.bounds.broken(self.target.rest):
-                return False
-            self.target.residual(y, f)
-            before, norm = norm, f.norm()
-            if norm <= max(TOLERANCE * self.target.load_norm(y), self.direct.floor()):
-                return True
-            if not norm < WORST * before or (norm > 0.5 * before and not self.linearise(place)):
-                return False
-            f.scale(-1.0)
-            (step,) = self.moves([self.still()], residual=f)
-            place.s.axpy(1.0, step.s)
-            place.z.axpy(1.0, step.z)
-        return False
+    def _reduced(self, s: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Gradients (own, p) by s alone, with dz as it follows, of those by s and z."""
+        gradient = s - times(self.across, self.factor.solve(z, transposed=True))
+        gradient[~self.free] = 0.0
+        return gradient
+
+    def tangent(self, pull: Move, slopes: Slopes) -> Tangent:
+        """The moves along a gradient and those of a matrix, each about the steepest for its length."""
+        gradients, weight = [pull, *slopes.values()], np.array([1.0 if i == j else 2.0 for i, j in slopes])
+        slope, comm = self._reduced(*_stacked(gradients)), self.problem.comm
+        parts = [self._descend(slope[:, :1], np.ones(1)), self._descend(slope[:, 1:], weight)]
+        s, z = (np.hstack(pair) for pair in zip(*parts, strict=True))
+        near = products(s, times(self.metric, s), comm)
+        gram = near + products(z, times(self.rest_metric, z), comm)
+        basis = orthonormal(0.5 * (gram + gram.T))
+        return Tangent(s @ basis, z @ basis, basis.T @ products(s, slope, comm), basis.T @ near @ basis)
+
+    def _descend(self, left: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Moves (own, p) of about the least length but for gradients (own, p) by ds: conjugate gradients on all columns
+        as one vector, squares by weight (p,), preconditioned by the metric of displacements. The moves are linear in
+        the gradients: they do not depend on how modes of one eigenvalue are told apart."""
+        comm, before = self.problem.comm, math.inf
+        s, z, ahead = np.zeros_like(left), np.zeros_like(left), np.zeros_like(left)
+        for _ in range(DESCENTS):
+            steep = self.metric_factor.solve(left)
+            now = comm.allreduce(float(np.einsum("ij,ij->j", left, steep) @ weight))
+            ahead = steep + now / before * ahead
+            across = self._answer(ahead)
+            bent = times(self.metric, ahead) - self._reduced(
+                np.zeros_like(ahead), -times(self.rest_metric, across)
+            )
+            length = now / max(comm.allreduce(float(np.einsum("ij,ij->j", ahead, bent) @ weight)), 1e-300)
+            s, z, left, before = (
+                s + length * ahead,
+                z + length * across,
+                left - length * bent,
+                max(now, 1e-300),
+            )
+        return s, z
+
+    def moves(self, gradients: list[Move]) -> list[Move]:
+        """The move along each gradient that is steepest for its length in ds."""
+        s = self.metric_factor.solve(self._reduced(*_stacked(gradients)))
+        return [self.move(*pair) for pair in zip(s.T, self._answer(s).T, strict=True)]
+
+    def move(self, s: np.ndarray, z: np.ndarray) -> Move:
+        """Of columns (own,)."""
+        move = self.still()
+        move.s.array[:], move.z.array[:] = s, z
+        return move
+
+    def least_move(self, residual: PETSc.Vec) -> Move:
+        """About the shortest move that takes away a residual (N)."""
+        alone = self.factor.solve(residual.array_r[:, None].copy())
+        left = -self._reduced(np.zeros_like(alone), times(self.rest_metric, alone))
+        s, z = self._descend(left, np.ones(1))
+        return self.move(s[:, 0], alone[:, 0] + z[:, 0])
 
     # ---- modes ----
 
-    def _find_modes(self, place: Place, y: PETSc.Vec) -> bool:
-        """Eigenvalues less than a cut above the margin, and at least one; whether all are above it."""
-        if self.direct.negative(place.z):
+    def _find_modes(self, point: Checkpoint) -> bool:
+        """Eigenvalues less than a cut above the margin, and at least one; whether they were found."""
+        values, modes, below = self.modes.find(
+            self.target.stiffness(self.go_to(point)), point.margin, self.cut
+        )
+        if not len(values) or below > len(values):
             return False
-        matrix = self.target.stiffness(y)
-        eps = SLEPc.EPS().create(comm=matrix.comm)
-        eps.setOperators(matrix, self.masses)
-        eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-        eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-        eps.setTarget(-self.slow)  # below a stable spectrum
-        eps.setDimensions(MODES)
-        eps.setTolerances(1e-8, 200)
-        st = eps.getST()
-        st.setType(SLEPc.ST.Type.SINVERT)
-        ksp = st.getKSP()
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        use_cholesky(ksp.pc)
-        eps.solve()
-        found = []
-        for k in range(min(eps.getConverged(), MODES)):
-            mode, weighed = self.problem.create_vector(), self.problem.create_vector()
-            value = eps.getEigenpair(k, mode).real
-            weighed.pointwiseMult(self.mass, mode)
-            mode.scale(1.0 / math.sqrt(mode.dot(weighed)))
-            found.append((value, mode))
-        eps.destroy()
-        if not found:
-            return False
-        found.sort(key=lambda pair: pair[0])
-        if len(found) == MODES:
-            self.cut = min(self.cut, max(found[-1][0] - place.margin, self.slow))
-        kept = [pair for k, pair in enumerate(found) if not k or pair[0] < place.margin + self.cut]
-        place.values, place.modes = np.array([value for value, _ in kept]), [mode for _, mode in kept]
-        return bool(place.values[0] > place.margin)
+        if len(values) == self.modes.most:
+            self.cut = min(self.cut, max(values[-1] - point.margin, self.slow))
+        kept = max(int((values < point.margin + self.cut).sum()), 1)
+        point.values, point.modes = values[:kept], [self._vector(mode) for mode in modes.T[:kept]]
+        return True
 
-    def slopes(self, place: Place) -> dict[tuple[int, int], Move]:
-        """Gradients of v_i^T K v_j, i <= j, by shape and rest shape: (v_i^T R_y v_j) by central differences along
-        v_i."""
-        modes, y = place.modes, self.go_to(place)
-        zero = y.duplicate()
-        zero.set(0.0)
-        slopes = {
-            (i, j): Move(zero.copy(), zero.copy()) for i in range(len(modes)) for j in range(i, len(modes))
-        }
-        there, out = y.duplicate(), y.duplicate()
-        for i, mode in enumerate(modes):
-            step = ALONG * self.problem.size() / mode.norm(PETSc.NormType.INFINITY)
+    def _vector(self, column: np.ndarray) -> PETSc.Vec:
+        vector = self.problem.create_vector()
+        vector.array[:] = column
+        return vector
+
+    def slopes(self, point: Checkpoint) -> Slopes:
+        """Gradients of v_i^T K v_j, i <= j, by shape and rest shape: (v_i^T R_y v_j) by central differences along v_j.
+        Masses, contact and the rest invariants' derivative do not change along it."""
+        modes, problem, y = point.modes, self.problem, self.go_to(point)
+        local, slopes = np.stack([problem.spread_triangles(mode) for mode in modes], axis=2), Slopes()
+        kernel, right = problem.kernel, problem.kernel.rest_jacobian()[:, :, :18].transpose(0, 2, 1)
+        there, out, directors = y.duplicate(), y.duplicate(), ~self.target.rest.is_vertex
+        pulls = np.zeros((len(right), 21))
+        for j, mode in enumerate(modes):
+            step = ALONG * problem.size() / mode.norm(PETSc.NormType.INFINITY)
+            along = [self.still().s for _ in range(j + 1)]
+            rates = np.zeros((len(right), right.shape[2], j + 1))
             for side in (step, -step):
                 there.waxpy(side, mode, y)
-                self.direct.linearise(there)
-                stiffness = self.target.stiffness(there)
-                for j in range(i, len(modes)):
-                    stiffness.mult(modes[j], out)
-                    slopes[i, j].s.axpy(0.5 / side, out)
-                    self.direct.matrix.multTranspose(modes[j], out)
-                    slopes[i, j].z.axpy(0.5 / side, out)
-        for slope in slopes.values():
-            slope.s.array[~self.free] = 0.0
+                stiffness, shape = self.target.stiffness(there), problem.shape(there)
+                left = kernel.invariants_jacobian(*shape)
+                rate = np.matmul(left, local[:, :, : j + 1])
+                for i, slope in enumerate(along):
+                    stiffness.mult(modes[i], out)
+                    slope.axpy(0.5 / side, out)
+                    change = kernel.mixed_along(*shape, np.ascontiguousarray(rate[:, :, i]))
+                    rates[:, :, i] += 0.5 / side * change
+            turned = np.matmul(right, rates)
+            for i, slope in enumerate(along):
+                pulls[:, :18] = turned[:, :, i]
+                pull = problem.gather_triangles(pulls)
+                pull.array[directors] += slope.array_r[directors]  # the director angles are z's
+                slope.array[~self.free] = 0.0
+                slopes[i, j] = Move(slope, pull)
         return slopes
 
-    def load_slope(self, place: Place) -> PETSc.Vec:
+    def load_slope(self, point: Checkpoint) -> PETSc.Vec:
         """The residual's derivative by the fraction of the load (N), in which it is linear."""
-        y = self.go_to(place)
+        y = self.go_to(point)
         less, more = y.duplicate(), y.duplicate()
         for side, f in ((-0.5, less), (0.5, more)):
-            self.target.load(place.fraction + side)
+            self.target.load(point.fraction + side)
             self.target.residual(y, f)
-        self.target.load(place.fraction)
+        self.target.load(point.fraction)
         return more - less
+
+
+def _stacked(gradients: list[Move]) -> tuple[np.ndarray, np.ndarray]:
+    """(own, p) of the shape and of the rest shape."""
+    s, z = ([getattr(g, part).array_r for g in gradients] for part in "sz")
+    return np.stack(s, axis=1), np.stack(z, axis=1)

@@ -9,6 +9,7 @@ INSIDE = 0.02  # of the barrier's reach: where a start inside lies
 EDGE = 1e-8  # nearer to the barrier, round-off tells on which side of it
 STEPS = 100
 DECREASE = 1e-10  # relative, of the last step
+DAMPINGS, FIRST_DAMPING, LONGER = 25, 0.1, 1.25  # tried for a length; the first; over it, that is enough
 
 
 def barrier(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -22,38 +23,86 @@ def barrier(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass
 class Model:
-    """pull c + (1 + damping)/2 |c|^2 + mu sum_i phi(eig_i(matrix + sum_p c_p slopes_p)) of coordinates c (p,).
+    """pull c + (c form c + damping |c|^2)/2 + mu sum_i phi(eig_i(matrix + sum_p c_p slopes_p - sink |c|^2)), of
+    coordinates c (p,).
 
-    matrix (k, k) and slopes (p, k, k): symmetric, in units of the barrier's reach.
+    matrix (k, k) and slopes (p, k, k): symmetric, in units of the barrier's reach; form (p, p): 1 where it is not
+    given; sink: what modes lose to those that the matrix does not know, by the square of the move.
     """
 
     matrix: np.ndarray
     slopes: np.ndarray
     pull: np.ndarray
     mu: float
+    form: np.ndarray | None = None
+    sink: float = 0.0
+
+    def distance(self, c: np.ndarray) -> float:
+        """Its part without the barrier, undamped."""
+        bent = c if self.form is None else self.form @ c
+        return float(self.pull @ c + 0.5 * (c @ bent))
 
     def at(self, c: np.ndarray) -> np.ndarray:
         """The matrix at c."""
-        return self.matrix + np.tensordot(c, self.slopes, 1)
+        return (
+            self.matrix
+            + np.tensordot(c, self.slopes, 1)
+            - self.sink * float(c @ c) * np.eye(len(self.matrix))
+        )
+
+    def slopes_at(self, c: np.ndarray) -> np.ndarray:
+        """Its derivatives there."""
+        if not self.sink:
+            return self.slopes
+        return self.slopes - 2.0 * self.sink * c[:, None, None] * np.eye(len(self.matrix))
 
     def value(self, c: np.ndarray, damping: float = 0.0) -> float:
         t = np.linalg.eigvalsh(self.at(c))
         if t[0] <= EDGE:
             return math.inf
-        return float(self.pull @ c + 0.5 * (1.0 + damping) * c @ c + self.mu * barrier(t)[0].sum())
+        return self.distance(c) + 0.5 * damping * float(c @ c) + self.mu * float(barrier(t)[0].sum())
 
-    def minimise(self, damping: float) -> np.ndarray | None:
-        """Its minimiser, by Newton's method; None where no start inside is found."""
-        c = self._inside()
+    def lowest(self, c: np.ndarray) -> float:
+        """The lowest eigenvalue at c."""
+        return float(np.linalg.eigvalsh(self.at(c))[0])
+
+    def within(self, radius: float) -> np.ndarray | None:
+        """Its minimiser, damped so that |c| is about the radius where it would be more; None where there is none."""
+        c, damping = self._inside(), 0.0
+        if c is None or np.linalg.norm(c) > LONGER * radius:
+            return None
+        low, high, best = 0.0, math.inf, None
+        for _ in range(DAMPINGS):
+            c = self.minimise(damping, c)
+            assert c is not None
+            size = float(np.linalg.norm(c))
+            if size <= LONGER * radius:
+                best, high = c, damping
+                if not damping or size >= radius / LONGER:
+                    break
+            else:
+                low = damping
+            if high == math.inf:
+                damping = 4.0 * max(damping, FIRST_DAMPING)
+            else:
+                damping = math.sqrt(max(low, FIRST_DAMPING / 4.0) * high)
+        return best
+
+    def minimise(self, damping: float, start: np.ndarray | None = None) -> np.ndarray | None:
+        """Its minimiser, by Newton's method from a start inside; None where none is found."""
+        c = self._inside() if start is None else start
         if c is None:
             return None
         value = self.value(c, damping)
         for _ in range(STEPS):
             gradient, hessian = self._derivatives(c, damping)
             # close to the barrier numerically singular
-            step = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
+            try:
+                step = -np.linalg.solve(hessian, gradient)
+            except np.linalg.LinAlgError:
+                step = -np.linalg.lstsq(hessian, gradient, rcond=None)[0]
             slope = float(gradient @ step)
-            if -slope <= DECREASE * abs(value):
+            if not -slope > DECREASE * abs(value):
                 break
             length = 1.0
             while not self.value(c + length * step, damping) <= value + 1e-4 * length * slope:
@@ -68,14 +117,16 @@ class Model:
         """Gradient and Hessian; the latter by divided differences (Lewis and Sendov 2001)."""
         t, v = np.linalg.eigh(self.at(c))
         _, first, second = barrier(t)
-        turned = v.T @ self.slopes @ v
+        turned = v.T @ self.slopes_at(c) @ v
         gap = t[:, None] - t[None, :]
         close = np.abs(gap) < 1e-9
         mean = 0.5 * (second[:, None] + second)
         divided = np.where(close, mean, (first[:, None] - first) / np.where(close, 1.0, gap))
         flat = turned.reshape(len(c), -1)
-        gradient = self.pull + (1.0 + damping) * c + self.mu * np.einsum("pii,i->p", turned, first)
-        return gradient, (1.0 + damping) * np.eye(len(c)) + self.mu * (flat * divided.ravel()) @ flat.T
+        form = damping * np.eye(len(c)) + (np.eye(len(c)) if self.form is None else self.form)
+        gradient = self.pull + form @ c + self.mu * np.einsum("pii,i->p", turned, first)
+        form = form - 2.0 * self.mu * self.sink * first.sum() * np.eye(len(c))
+        return gradient, form + self.mu * (flat * divided.ravel()) @ flat.T
 
     def _inside(self) -> np.ndarray | None:
         """The least move that lifts all eigenvalues clearly above zero, step by step."""
@@ -85,7 +136,7 @@ class Model:
             if t[0] > EDGE:
                 return c
             low = t < INSIDE
-            rise = np.einsum("ai,pab,bi->pi", v[:, low], self.slopes, v[:, low])
+            rise = np.einsum("ai,pab,bi->pi", v[:, low], self.slopes_at(c), v[:, low])
             if not rise.any():
                 return None
             c = c + rise @ np.linalg.lstsq(rise.T @ rise, 2.0 * INSIDE - t[low], rcond=1e-10)[0]

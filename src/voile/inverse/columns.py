@@ -1,0 +1,94 @@
+"""Linear algebra on many columns at once: a factor or a matrix is read once for all of them.
+
+Columns are arrays (own rows, p) of vectors on the problem's unknowns.
+"""
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.solver.linear import factorisation_error, negative_pivots, set_defaults
+
+TRANSPOSED = 9  # MUMPS' ICNTL: 0 solves with the transposed matrix, 1 with the matrix
+WORK_SPACE = "100"  # per cent, of MUMPS beyond its estimate: pivoting wants it
+SCALED = 1e-10  # eigenvalues of scaled products, over the largest: columns nearer to dependent count as such
+
+
+def dense(columns: np.ndarray, comm: MPI.Comm) -> PETSc.Mat:
+    """A dense matrix of columns, to be destroyed rather than left to Python."""
+    matrix = PETSc.Mat().createDense(
+        ((len(columns), PETSc.DECIDE), (PETSc.DECIDE, columns.shape[1])), comm=comm
+    )
+    matrix.setUp()
+    matrix.getDenseArray()[:] = columns
+    matrix.assemble()
+    return matrix
+
+
+def times(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
+    """matrix @ columns."""
+    given = dense(columns, matrix.comm)
+    product = matrix.matMult(given)
+    out = product.getDenseArray().copy()
+    for each in (given, product):
+        each.destroy()
+    return out
+
+
+def products(left: np.ndarray, right: np.ndarray, comm: MPI.Comm) -> np.ndarray:
+    """left^T right over all ranks."""
+    return comm.allreduce(left.T @ right)
+
+
+def orthonormal(gram: np.ndarray) -> np.ndarray:
+    """(p, q) combinations of p vectors with these products that are orthonormal, dependent ones left out."""
+    size = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    theta, q = np.linalg.eigh(gram * scale * scale[:, None])
+    kept = theta > SCALED * theta[-1]
+    return scale[:, None] * q[:, kept] / np.sqrt(theta[kept])
+
+
+class Factor:
+    """A factorisation by MUMPS, of one matrix after another with the same pattern; options may choose otherwise."""
+
+    def __init__(self, kind: PETSc.PC.Type, prefix: str, comm: MPI.Comm):
+        self.pc = PETSc.PC().create(comm=comm)
+        self.pc.setOptionsPrefix(prefix)
+        self.pc.setType(kind)
+        self.pc.setFactorSolverType("mumps")
+        set_defaults({prefix + "mat_mumps_icntl_14": WORK_SPACE})
+        self.pc.setFromOptions()
+        self.comm = comm
+
+    def set(self, matrix: PETSc.Mat) -> bool:
+        """Factors a matrix; False where that fails."""
+        self.pc.setOperators(matrix)
+        self.pc.setUp()
+        failed = bool(factorisation_error(self.pc))
+        if failed:
+            self.pc.reset()  # PETSc leaves a MUMPS instance that failed once as it is
+        return not failed
+
+    def negative(self) -> int | None:
+        """Negative eigenvalues of a symmetric matrix."""
+        return negative_pivots(self.pc)
+
+    def solve(self, columns: np.ndarray, transposed: bool = False) -> np.ndarray:
+        """Solutions with the matrix factored last, or its transpose."""
+        factor, out = self.pc.getFactorMatrix(), np.empty_like(columns)
+        if self.pc.getFactorSolverType() == "mumps":
+            given, found = dense(columns, self.comm), dense(columns, self.comm)
+            factor.setMumpsIcntl(TRANSPOSED, 0 if transposed else 1)
+            factor.matSolve(given, found)
+            factor.setMumpsIcntl(TRANSPOSED, 1)
+            out[:] = found.getDenseArray()
+            for each in (given, found):
+                each.destroy()
+            return out
+        right, left = factor.createVecs()
+        for k, column in enumerate(columns.T):
+            right.array[:] = column
+            (factor.solveTranspose if transposed else factor.solve)(right, left)
+            out[:, k] = left.array_r
+        return out

@@ -1,0 +1,87 @@
+"""The softest modes of one tangent after another: block inverse iteration from the last ones.
+
+K v = lambda M v with the shift at the margin that is asked for: the inertia of the factorisation tells whether all
+eigenvalues are above it, and those near it, which matter most, come first. Each sweep takes Rayleigh-Ritz values in
+the block Krylov space of the last modes, so modes that changed little cost two solves.
+"""
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile.inverse.columns import Factor, products, times
+from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
+from voile.solver.linear import add_mass
+
+MODES = 12  # at most
+GUARD = 3  # more in the block: they speed up the last ones
+POWERS = 2  # solves in a sweep
+SWEEPS = 12
+SETTLED = 1e-5  # change of an eigenvalue in a sweep over the range wanted: modes are then right to 1e-3
+DEPENDENT = 1e-12  # squared length of a unit column, that is left of it beside others
+
+
+class Modes:
+    """Lowest eigenpairs by the mass M of a problem's tangents."""
+
+    def __init__(self, problem: Problem, mass: PETSc.Vec):
+        self.problem, self.mass, self.most = problem, mass, min(MODES, problem.unknowns)
+        self.factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_modes_", problem.comm)
+        self.block = _start(problem, min(MODES + GUARD, problem.unknowns))
+
+    def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[np.ndarray, np.ndarray, int]:
+        """Up to `most` eigenvalues (1/s^2), in order, their modes (own, p) of unit mass, right where they are less than
+        a cut above the margin, and how many are below the margin; none where the tangent cannot be factored. The
+        tangent's diagonal is changed."""
+        add_mass(tangent, self.mass, -margin)
+        nothing = np.zeros(0), np.zeros((len(self.block), 0)), 0
+        if not self.factor.set(tangent):
+            return nothing
+        below = self.factor.negative() or 0
+        values, width = np.full(self.block.shape[1], np.inf), self.block.shape[1]
+        for _ in range(SWEEPS):
+            before, (values, block) = values, self._sweep(tangent)
+            if not np.isfinite(block).all() or block.shape[1] < width:
+                return nothing
+            self.block = block
+            wanted = max(int((values[: self.most] < cut).sum()), 1)
+            change = np.abs(values - before)[:wanted] / max(min(cut, values[self.most - 1]), abs(values[0]))
+            if change.max() <= SETTLED and (values < 0.0).sum() == below:
+                break
+        return values[: self.most] + margin, self.block[:, : self.most], below
+
+    def _sweep(self, shifted: PETSc.Mat) -> tuple[np.ndarray, np.ndarray]:
+        """Ritz values above the margin and their vectors, in the space of the block and its solves."""
+        comm, weight = self.problem.comm, self.mass.array_r[:, None]
+        space, last = np.zeros((len(self.block), 0)), self.block
+        for power in range(POWERS + 1):
+            if power:
+                last = self.factor.solve(weight * last)
+            last = self._beside(space, last)
+            space = np.concatenate([space, last], axis=1)
+        projected = products(space, times(shifted, space), comm)
+        values, q = np.linalg.eigh(0.5 * (projected + projected.T))
+        width = self.block.shape[1]
+        return values[:width], space @ q[:, :width]
+
+    def _beside(self, space: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Columns as an orthonormal basis (by M) of what they add to an orthonormal one."""
+        comm, weight = self.problem.comm, self.mass.array_r[:, None]
+        for _ in range(2):  # twice is enough (Kahan, in Parlett 1980)
+            columns = columns - space @ products(space, weight * columns, comm)
+            size = np.sqrt(comm.allreduce((weight * columns**2).sum(axis=0)))
+            columns = columns / np.maximum(size, 1e-300)
+            theta, q = np.linalg.eigh(products(columns, weight * columns, comm))
+            kept = theta > DEPENDENT
+            columns = columns @ (q[:, kept] / np.sqrt(theta[kept]))
+        return columns
+
+
+def _start(problem: Problem, count: int) -> np.ndarray:
+    """(own, count) random displacements, vertex by vertex the same for any number of ranks."""
+    vertex = problem.part.vertex
+    fields = np.random.default_rng(0).standard_normal(
+        (problem.comm.allreduce(vertex.max(), op=MPI.MAX) + 1, 3, count)
+    )
+    return np.stack([field_vector(problem, fields[vertex, :, k]).array_r for k in range(count)], axis=1)
