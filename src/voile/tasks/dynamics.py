@@ -3,8 +3,8 @@
 from voile.problem.damping import Damping
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
-from voile.tasks.in_time import TimeSteps, air, figures, initial_velocity
+from voile.solver.stepping.time_path import Stepper, TimeOptions
+from voile.tasks.in_time import TimeSteps, air, begun, figures
 from voile.tasks.run import Run
 
 
@@ -18,10 +18,9 @@ def run(job: Run) -> str:
     )
     shell, problem = job.prepare()
     problem = problem.at(0.0)
-    path = start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
-    with job.results(job.mesh(shell, problem.directors)) as writer:
-        steps = TimeSteps(job, problem, writer, d.duration)
-        steps.write(0.0, 0.0, path)
+    path = begun(job, problem)
+    with job.results(job.mesh(shell, problem.directors), path.time if job.resumes else None) as writer:
+        steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, NewtonStep(problem), path).follow(steps)
         steps.finish(path)
     job.summarise(problem, path, dynamics=figures(problem, path))

@@ -87,7 +87,9 @@ class TimeStep:
 
 @dataclass
 class TimePath:
-    """The outcome: `state` (unknowns) and kinematics of the last good step, also when `converged` is False."""
+    """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False. For
+    the next step: its length (s), the largest force without loads so far (N), and the vertices (n,) that something
+    pushed."""
 
     state: PETSc.Vec
     kinematics: Kinematics
@@ -99,6 +101,9 @@ class TimePath:
     methods: list[str] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     attempts: int = 0
+    length: float = 0.0
+    largest: float = 0.0
+    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -135,11 +140,13 @@ class Stepper:
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
-        self.length, self.damping = options.time_step, options.damping
+        self.damping, path.length = options.damping, path.length or options.time_step
+        solver.counts.add(path.counts)
         path.counts = solver.counts
-        self.mass, self.largest = _mean_mass(problem), 0.0
+        self.mass = _mean_mass(problem)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
-        self.pushed = np.zeros(len(self.k.positions), dtype=bool)
+        if not len(path.pushed):
+            path.pushed = np.zeros(len(self.k.positions), dtype=bool)
         self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
 
     def follow(self, on_step: OnStep | None = None) -> None:
@@ -148,18 +155,18 @@ class Stepper:
         if asked.scheme.memory and path.time == 0.0:
             self._begin()
         while path.time < asked.duration:
-            h, end = self.length, path.time + self.length
+            h, end = self.path.length, path.time + self.path.length
             if asked.duration - path.time < (1.0 + self.options.close) * h:
                 h, end = asked.duration - path.time, asked.duration
             path.attempts += 1
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
-                self.length = self.options.cut * h
-                if self.length < self.options.smallest * asked.time_step:
+                self.path.length = self.options.cut * h
+                if self.path.length < self.options.smallest * asked.time_step:
                     path.reason = f"{outcome.reason}; at time {path.time:g} s"
                     return
                 continue
-            self.length = min(asked.time_step, max(self.length, self.options.longer * h))
+            self.path.length = min(asked.time_step, max(self.path.length, self.options.longer * h))
             path.last, path.time = done, done.time
             path.methods.append(done.method)
             self.y.copy(path.state)
@@ -200,7 +207,7 @@ class Stepper:
             return None, outcome
         x = problem.positions(y)
         push = _push(problem, x)
-        self.pushed = push.any(axis=1)
+        self.path.pushed = push.any(axis=1)
         self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
         if scheme is self.asked.scheme:
             resisting = self._resistance(problem, prediction, k.positions)
@@ -269,7 +276,7 @@ class Stepper:
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
             return known
         force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
-        bears = force.any(axis=1) | self.pushed
+        bears = force.any(axis=1) | self.path.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
         unknowns.array[:] = problem.layout.collect(dofs) > 0.0
@@ -289,7 +296,7 @@ class Stepper:
         if not loads:
             f = problem.create_vector()
             problem.residual(self.y, f)
-            loads = self.largest = max(self.largest, f.norm(), force_floor(problem))
+            loads = self.path.largest = max(self.path.largest, f.norm(), force_floor(problem))
         heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
