@@ -14,7 +14,14 @@ def run(job: Run) -> str:
     job.progress.parameter = "time"
     scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta))
     options = TimeOptions(
-        scheme, d.time_step, d.duration, d.tolerance, air(job), Damping(d.damping.mass, d.damping.stiffness)
+        scheme,
+        d.time_step,
+        d.duration,
+        d.tolerance,
+        air(job),
+        Damping(d.damping.mass, d.damping.stiffness),
+        accuracy=d.accuracy if d.adaptive else 0.0,
+        stop_at_rest=d.stop_at_rest,
     )
     shell, problem = job.prepare()
     problem = problem.at(0.0)

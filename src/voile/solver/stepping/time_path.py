@@ -31,7 +31,8 @@ class Options:
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by."""
+    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. calm: of the speed
+    at rest, that a step's acceleration may add."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -40,12 +41,15 @@ class Options:
     close: float = 1e-6
     rest: float = 2.0
     digits: float = 4.0
+    finest: float = 1.0 / 256.0
+    calm: float = 0.1
 
 
 @dataclass
 class TimeOptions:
     """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
-    shell; damping: Rayleigh's."""
+    shell; damping: Rayleigh's; accuracy: local error of a step in sizes of the shell, 0: all steps are as long as
+    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never."""
 
     scheme: Scheme
     time_step: float
@@ -53,6 +57,8 @@ class TimeOptions:
     tolerance: float = 1e-6
     air: Air | None = None
     damping: Damping = Damping()
+    accuracy: float = 0.0
+    stop_at_rest: float = 0.0
 
 
 class StepSolver(Protocol):
@@ -140,6 +146,7 @@ class Stepper:
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
+        self.wish = 0.0  # s, what the local error allows
         self.damping, path.length = options.damping, path.length or options.time_step
         solver.counts.add(path.counts)
         path.counts = solver.counts
@@ -159,21 +166,36 @@ class Stepper:
             if asked.duration - path.time < (1.0 + self.options.close) * h:
                 h, end = asked.duration - path.time, asked.duration
             path.attempts += 1
+            self.wish = 0.0
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
-                self.path.length = self.options.cut * h
-                if self.path.length < self.options.smallest * asked.time_step:
+                path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
+                if path.length < self.options.smallest * asked.time_step:
                     path.reason = f"{outcome.reason}; at time {path.time:g} s"
                     return
                 continue
-            self.path.length = min(asked.time_step, max(self.path.length, self.options.longer * h))
+            grown = self.wish or max(path.length, self.options.longer * h)
+            path.length = min(asked.time_step, grown)
             path.last, path.time = done, done.time
             path.methods.append(done.method)
             self.y.copy(path.state)
             path.kinematics = self.k
             if on_step:
                 on_step(done, path)
+            if self._rests(done):
+                path.converged, path.reason = True, f"at rest at time {done.time:g} s"
+                return
         path.converged, path.reason = True, "end of the simulated time"
+
+    def _rests(self, done: TimeStep) -> bool:
+        """Whether nothing is faster than asked for, or about to be."""
+        limit = self.asked.stop_at_rest
+        if not done.speed < limit:
+            return False
+        faster = (
+            self.problem.in_sizes(self.k.acceleration[self.problem.own]) * self.problem.size() * done.length
+        )
+        return faster < self.options.calm * limit
 
     def _begin(self) -> None:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
@@ -206,6 +228,10 @@ class Stepper:
             problem.restore(y, start)
             return None, outcome
         x = problem.positions(y)
+        refusal = self._refusal(problem, prediction, start.time, h, x)
+        if refusal:
+            problem.restore(y, start)
+            return None, Outcome(False, outcome.method, refusal)
         push = _push(problem, x)
         self.path.pushed = push.any(axis=1)
         self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
@@ -225,6 +251,27 @@ class Stepper:
             problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
         )
         return done, outcome
+
+    def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: np.ndarray) -> str:
+        """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
+        k, asked = self.k, self.asked
+        if problem.contact:
+            crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
+            if not problem.everywhere(not crosses.any()):
+                return "a step leads through an obstacle"
+        if not asked.accuracy:
+            return ""
+        jump = 0.5 * h * (p.velocity(x) - k.velocity)
+        if asked.scheme.order == 2:
+            smooth = h**2 / 12.0 * (p.acceleration(x) - k.acceleration)
+            jump = np.where(np.broadcast_to(p.rate, x.shape) == 1.0 / h, jump, smooth)
+        error = problem.in_sizes(jump[problem.own]) / asked.accuracy
+        options = self.options
+        self.wish = h * min(
+            max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
+        )
+        finest = h <= options.finest * asked.time_step
+        return "" if error <= 1.0 or finest else "the local error of a step is too large"
 
     def _solve(
         self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
