@@ -31,8 +31,7 @@ class Options:
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. calm: of the speed
-    at rest, that a step's acceleration may add."""
+    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -42,7 +41,6 @@ class Options:
     rest: float = 2.0
     digits: float = 4.0
     finest: float = 1.0 / 256.0
-    calm: float = 0.1
 
 
 @dataclass
@@ -188,14 +186,13 @@ class Stepper:
         path.converged, path.reason = True, "end of the simulated time"
 
     def _rests(self, done: TimeStep) -> bool:
-        """Whether nothing is faster than asked for, or about to be."""
-        limit = self.asked.stop_at_rest
+        """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
+        size."""
+        limit, problem = self.asked.stop_at_rest, self.problem
         if not done.speed < limit:
             return False
-        faster = (
-            self.problem.in_sizes(self.k.acceleration[self.problem.own]) * self.problem.size() * done.length
-        )
-        return faster < self.options.calm * limit
+        acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
+        return acceleration < limit * float(np.sqrt(slow_rate(problem)))
 
     def _begin(self) -> None:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
