@@ -71,6 +71,9 @@ def _parser() -> argparse.ArgumentParser:
             sub.add_argument(
                 "-o", "--output", type=Path, help="result folder (default: the scene's name + -result)"
             )
+            sub.add_argument(
+                "--resume", action="store_true", help="go on from the last complete step in the result folder"
+            )
     sub = command("info", _info, "figures of a result")
     sub.add_argument("file", type=Path)
     sub = command("render", _render, "a PNG picture of a result")
@@ -207,11 +210,13 @@ def _run(args: argparse.Namespace) -> int:
     scene, model = on_root(comm, lambda: _load(args)) or (None, None)
     scene = comm.bcast(scene)
     folder = args.output or Path(f"{args.scene.stem}-result")
+    if args.resume and scene.scene.task != "dynamics":
+        raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
     prepare_output(folder, comm)
     progress = Progress(comm)
     if blas.used().note:
         progress.line(f"note: {blas.used().note}")
-    job = Run(scene, model, folder, comm, progress, began)
+    job = Run(scene, model, folder, comm, progress, began, resumes=args.resume)
     task = import_module(f"voile.tasks.{scene.scene.task}")
     try:
         with _stoppable():

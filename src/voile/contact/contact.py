@@ -21,6 +21,8 @@ from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
+ADVANCES = 200  # places looked at on a way
+TURNED = 0.5  # cosine of the turn between normals that are on different sides of a body
 CLEAR = 0.02  # sizes: a gap from which it does not end there
 
 
@@ -54,6 +56,50 @@ class Contact(NaturalMap):
                 inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
         self.seconds += time.perf_counter() - start
         return inside & self.movable
+
+    def crosses(self, x: np.ndarray, began: float, moved: np.ndarray, ended: float) -> np.ndarray:
+        """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
+        obstacle and ends elsewhere on it: where the normal is another. Distances bound how far a vertex is from
+        entering (conservative advancement), so that no body is too thin."""
+        start, way = time.perf_counter(), moved - x
+        found = np.zeros(len(x), dtype=bool)
+        for k, obstacle in enumerate(self.obstacles):
+            carried = np.linalg.norm(obstacle.carry(x, began, ended) - x, axis=1)
+            length = np.linalg.norm(way, axis=1) + carried
+            share, entry = np.zeros(len(x)), np.zeros_like(x)
+            going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
+            for _ in range(ADVANCES):
+                if not len(going):
+                    break
+                s = share[going]
+                there = x[going] + s[:, None] * way[going]
+                times = began + s * (ended - began)
+                gap, normal = self._gaps_at(k, there, times, going)
+                inside = gap <= self.touch
+                entry[going[inside]] = normal[inside]
+                share[going] = s + np.maximum(gap, self.touch) / np.maximum(length[going], 1e-300)
+                going = going[~inside & (share[going] < 1.0)]
+            entered = np.flatnonzero(entry.any(axis=1))
+            if len(entered):
+                _, normal, _ = obstacle.gap_derivatives(moved[entered], ended)
+                found[entered] |= np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
+        self.seconds += time.perf_counter() - start
+        return found
+
+    def _gaps_at(
+        self, k: int, points: np.ndarray, times: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps (p,) m of vertices `rows` to obstacle k, and unit normals (p, 3), at places and times of their own."""
+        obstacle = self.obstacles[k]
+        if not obstacle.motion.moves:
+            gap, gradient, _ = obstacle.gap_derivatives(points, 0.0)
+        else:
+            parts = [
+                obstacle.gap_derivatives(p[None], float(t))[:2] for p, t in zip(points, times, strict=True)
+            ]
+            gap, gradient = (np.concatenate(part) for part in zip(*parts, strict=True))
+        size = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-300)
+        return gap - np.asarray(self.offset)[k][rows], gradient / size
 
     # ---- as a potential ----
 

@@ -77,8 +77,8 @@ class ResultWriter:
     mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was
     built with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the
     latter. A result already at `path` stays until the first step is complete; it and its summary are then
-    kept as `*.previous.*`. A writer is a context manager; after a crash the file holds the last complete
-    step.
+    kept as `*.previous.*`. goes_on: the value after which a result at `path` of the same scene goes on. A
+    writer is a context manager; after a crash the file holds the last complete step.
     """
 
     def __init__(
@@ -90,6 +90,7 @@ class ResultWriter:
         scene_text: str = "",
         versions: Mapping[str, str] | None = None,
         gather: bool = False,
+        goes_on: float | None = None,
     ):
         self.path, self.comm, self.steps = Path(path), comm, 0
         self._scene_text, self._versions = scene_text, dict(versions or {})
@@ -107,6 +108,8 @@ class ResultWriter:
         self._stepped: dict[str, _Stepped] = {}
         self._capacity = CAPACITY
         self._file: Any = None
+        if goes_on is not None:
+            self.steps, self._capacity = comm.bcast(on_root(comm, lambda: self._cut_after(goes_on)))
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -174,7 +177,12 @@ class ResultWriter:
     def _open(self, stepped: dict[str, _Stepped], single: Mapping[str, tuple[Any, Field]]) -> None:
         """Create the file at the first step, make room at later ones."""
         stepped = stepped | {path: _Stepped(1, spec) for path, (_, spec) in single.items()}
-        if not self._stepped:
+        if not self._stepped and self.steps:
+            self._stepped = stepped
+            self._reopen(self.path)
+            if self.steps == self._capacity:
+                self._rebuild(2 * self._capacity)
+        elif not self._stepped:
             self._stepped = stepped
             on_root(self.comm, lambda: self._create(self._part, self._capacity, self._static))
             self._static = {}
@@ -186,6 +194,23 @@ class ResultWriter:
             )
         elif self.steps == self._capacity:
             self._rebuild(2 * self._capacity)
+
+    def _cut_after(self, value: float) -> tuple[int, int]:
+        """Drops the steps of the file that is there beyond a value; how many are left, and have room. Raises InputError
+        where it is of another scene."""
+        if not self._h5py.is_hdf5(self.path):
+            raise InputError(f"{self.path}: no result that a run could go on from (--resume)")
+        with self._h5py.File(self.path, "r+", locking=False) as file:
+            if file["voile/scene"][()].tobytes().decode("utf-8") != self._scene_text:
+                raise InputError(
+                    f"{self.path}: of another scene, or other --set; allowed with --resume: those of the run so far"
+                )
+            room = len(file[OWN_VALUES])
+            kept = int((file[OWN_VALUES][: file[STEPS].attrs["NSteps"]] <= value).sum())
+            file[STEPS].attrs.modify("NSteps", np.int64(kept))
+            file[VALUES].resize((kept,))
+            file[VALUES][:] = file[OWN_VALUES][:kept]
+        return kept, room
 
     @property
     def _part(self) -> Path:

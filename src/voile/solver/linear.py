@@ -32,6 +32,11 @@ class Counts:
     iterations: int = 0
     seconds: float = 0.0
 
+    def add(self, other: "Counts") -> None:
+        """What another part of the same run did."""
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
+
     @contextmanager
     def factorising(self) -> Iterator[None]:
         """Counts one factorisation and its time."""

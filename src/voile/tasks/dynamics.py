@@ -3,8 +3,8 @@
 from voile.problem.damping import Damping
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
-from voile.tasks.in_time import TimeSteps, air, figures, initial_velocity
+from voile.solver.stepping.time_path import Stepper, TimeOptions
+from voile.tasks.in_time import TimeSteps, air, begun, figures
 from voile.tasks.run import Run
 
 
@@ -14,14 +14,20 @@ def run(job: Run) -> str:
     job.progress.parameter = "time"
     scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta))
     options = TimeOptions(
-        scheme, d.time_step, d.duration, d.tolerance, air(job), Damping(d.damping.mass, d.damping.stiffness)
+        scheme,
+        d.time_step,
+        d.duration,
+        d.tolerance,
+        air(job),
+        Damping(d.damping.mass, d.damping.stiffness),
+        accuracy=d.accuracy if d.adaptive else 0.0,
+        stop_at_rest=d.stop_at_rest,
     )
     shell, problem = job.prepare()
     problem = problem.at(0.0)
-    path = start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
-    with job.results(job.mesh(shell, problem.directors)) as writer:
-        steps = TimeSteps(job, problem, writer, d.duration)
-        steps.write(0.0, 0.0, path)
+    path = begun(job, problem)
+    with job.results(job.mesh(shell, problem.directors), path.time if job.resumes else None) as writer:
+        steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, NewtonStep(problem), path).follow(steps)
         steps.finish(path)
     job.summarise(problem, path, dynamics=figures(problem, path))

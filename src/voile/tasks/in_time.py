@@ -8,8 +8,11 @@ import numpy as np
 from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
-from voile.solver.stepping.time_path import TimePath, TimeStep
-from voile.tasks.run import Run, rows
+from voile.results.history import HistoryWriter, read_history
+from voile.results.restart import clear_restart, load_restart, save_restart
+from voile.solver.stepping.restart import packed, unpacked
+from voile.solver.stepping.time_path import TimePath, TimeStep, start_path
+from voile.tasks.run import NO_CONTACT, Run, rows
 
 
 def initial_velocity(job: Run, x: np.ndarray) -> np.ndarray:
@@ -25,22 +28,44 @@ def air(job: Run) -> Air | None:
     return Air(np.array(loads.wind), loads.drag) if loads.drag else None
 
 
-class TimeSteps:
-    """Takes the steps of a path as they come: tells the progress and writes the start, every so many, and the last."""
+def begun(job: Run, problem: Problem) -> TimePath:
+    """The path from the scene's start, or from where the run that it resumes was."""
+    if job.resumes:
+        return unpacked(problem, load_restart(job.folder, job.comm))
+    return start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
 
-    def __init__(self, job: Run, problem: Problem, writer: ResultWriter, duration: float):
+
+class TimeSteps:
+    """Takes the steps of a path as they come: tells the progress, adds to the history, writes the start, every so many,
+    and the last, and now and then all that the run could go on from."""
+
+    PAUSE, SHARE = 0.5, 20.0  # s between two restart files at least, and times what the last one took
+
+    def __init__(self, job: Run, problem: Problem, writer: ResultWriter, path: TimePath, duration: float):
         self.job, self.problem, self.writer, self.duration = job, problem, writer, duration
-        self.written = -1.0
+        self.written, kept = path.time if job.resumes else -1.0, {}
+        if job.resumes and job.comm.rank == 0:
+            kept = {name: rows[: path.count] for name, rows in read_history(job.folder).items()}
+        self.history = HistoryWriter(job.folder / "history.h5", job.comm, kept)
+        self.due = time.perf_counter() + self.PAUSE
+        if not job.resumes:
+            clear_restart(job.folder, job.comm)
+            self.write(0.0, 0.0, path)
+            self.save(path)
 
     def __call__(self, step: TimeStep, path: TimePath) -> None:
         self.job.progress.time_step(step, self.duration)
+        self.history.add(row(self.problem, step, path))
         if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
             self.write(step.time, step.residual, path)
+            if self.job.comm.bcast(time.perf_counter() > self.due):
+                self.save(path)
 
     def finish(self, path: TimePath) -> None:
-        """Writes the last good step where it is not."""
+        """Writes the last good step where it is not, and where the run ended."""
         if self.written < path.time:
             self.write(path.time, path.last.residual if path.last else math.nan, path)
+        self.save(path)
 
     def write(self, at: float, residual: float, path: TimePath) -> None:
         """A step of the result file."""
@@ -50,6 +75,39 @@ class TimeSteps:
         self.writer.write_step(at, scalars={"residual": residual, "converged": 1.0}, **values)
         self.written = at
         self.job.writing += time.perf_counter() - start
+
+    def save(self, path: TimePath) -> None:
+        """History and restart files, in this order: no restart without its history."""
+        began = time.perf_counter()
+        self.history.write()
+        save_restart(self.job.folder, self.job.comm, path.count, packed(self.problem, path))
+        took = time.perf_counter() - began
+        self.due, self.job.writing = began + max(self.PAUSE, self.SHARE * took), self.job.writing + took
+
+
+def row(problem: Problem, step: TimeStep, path: TimePath) -> dict:
+    """A step of the history."""
+    books, k = path.books, path.kinematics
+    momentum, angular = books.momenta(k)
+    contact = step.contact or {**NO_CONTACT, "obstacles": []}
+    forces = [body["force"] for body in contact["obstacles"]]
+    return {
+        "time": step.time,
+        "time_step": step.length,
+        "kinetic": books.kinetic(k),
+        **step.energies,
+        **books.totals,
+        "balance_error": books.error,
+        "momentum": momentum,
+        "angular_momentum": angular,
+        "speed": step.speed,
+        "residual": step.residual,
+        "tolerance": step.tolerance,
+        "iterations": step.iterations,
+        "factorisations": path.counts.factorisations,
+        **{name: contact[name] for name in NO_CONTACT},
+        "contact_force": np.sum(forces, axis=0) if forces else np.zeros(3),
+    }
 
 
 def figures(problem: Problem, path: TimePath) -> dict:

@@ -41,7 +41,8 @@ NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "frict
 
 @dataclass
 class Run:
-    """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start."""
+    """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start;
+    resumes: goes on from the results there."""
 
     scene: Scene
     model: Model | None
@@ -50,6 +51,7 @@ class Run:
     progress: Progress
     began: float
     writing: float = 0.0  # s
+    resumes: bool = False
 
     # ---- from the scene to the problem ----
 
@@ -102,14 +104,15 @@ class Run:
         return replace(mesh, point_data={**mesh.point_data, **point_data})
 
     @contextmanager
-    def results(self, mesh: StaticMesh | None) -> Iterator[ResultWriter]:
-        """The result file."""
+    def results(self, mesh: StaticMesh | None, goes_on: float | None = None) -> Iterator[ResultWriter]:
+        """The result file; goes_on: after which of its values."""
         with ResultWriter(
             self.folder / "result.vtkhdf",
             self.comm,
             mesh=mesh,
             scene_text=self.scene.text,
             versions=versions(),
+            goes_on=goes_on,
         ) as writer:
             yield writer
 

@@ -69,6 +69,11 @@ class Scheme:
         """Whether its first step needs the acceleration at the start."""
         return False
 
+    @property
+    def order(self) -> int:
+        """Of its error in the length of steps, without contact."""
+        return 2
+
     def predict(self, k: Kinematics, h: float) -> Prediction:
         """The step's inertia."""
         raise NotImplementedError
@@ -82,6 +87,10 @@ class Scheme:
 @dataclass(frozen=True)
 class ImplicitEuler(Scheme):
     """First order; dissipates."""
+
+    @property
+    def order(self) -> int:
+        return 1
 
     def predict(self, k: Kinematics, h: float) -> Prediction:
         return Prediction(1.0 / h**2, k.positions + h * k.velocity, 1.0 / h, k.positions)
@@ -143,6 +152,10 @@ class MoreauJean(Scheme):
     (Moreau 1988; Jean 1999). First order, second for theta = 1/2 without contact."""
 
     theta: float
+
+    @property
+    def order(self) -> int:
+        return 1 if self.theta > 0.5 else 2
 
     @property
     def memory(self) -> bool:

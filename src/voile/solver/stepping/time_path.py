@@ -31,7 +31,7 @@ class Options:
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by."""
+    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -40,12 +40,14 @@ class Options:
     close: float = 1e-6
     rest: float = 2.0
     digits: float = 4.0
+    finest: float = 1.0 / 256.0
 
 
 @dataclass
 class TimeOptions:
     """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
-    shell; damping: Rayleigh's."""
+    shell; damping: Rayleigh's; accuracy: local error of a step in sizes of the shell, 0: all steps are as long as
+    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never."""
 
     scheme: Scheme
     time_step: float
@@ -53,6 +55,8 @@ class TimeOptions:
     tolerance: float = 1e-6
     air: Air | None = None
     damping: Damping = Damping()
+    accuracy: float = 0.0
+    stop_at_rest: float = 0.0
 
 
 class StepSolver(Protocol):
@@ -87,7 +91,9 @@ class TimeStep:
 
 @dataclass
 class TimePath:
-    """The outcome: `state` (unknowns) and kinematics of the last good step, also when `converged` is False."""
+    """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False. For
+    the next step: its length (s), the largest force without loads so far (N), and the vertices (n,) that something
+    pushed."""
 
     state: PETSc.Vec
     kinematics: Kinematics
@@ -99,6 +105,9 @@ class TimePath:
     methods: list[str] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     attempts: int = 0
+    length: float = 0.0
+    largest: float = 0.0
+    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -135,11 +144,14 @@ class Stepper:
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
-        self.length, self.damping = options.time_step, options.damping
+        self.wish = 0.0  # s, what the local error allows
+        self.damping, path.length = options.damping, path.length or options.time_step
+        solver.counts.add(path.counts)
         path.counts = solver.counts
-        self.mass, self.largest = _mean_mass(problem), 0.0
+        self.mass = _mean_mass(problem)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
-        self.pushed = np.zeros(len(self.k.positions), dtype=bool)
+        if not len(path.pushed):
+            path.pushed = np.zeros(len(self.k.positions), dtype=bool)
         self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
 
     def follow(self, on_step: OnStep | None = None) -> None:
@@ -148,25 +160,39 @@ class Stepper:
         if asked.scheme.memory and path.time == 0.0:
             self._begin()
         while path.time < asked.duration:
-            h, end = self.length, path.time + self.length
+            h, end = self.path.length, path.time + self.path.length
             if asked.duration - path.time < (1.0 + self.options.close) * h:
                 h, end = asked.duration - path.time, asked.duration
             path.attempts += 1
+            self.wish = 0.0
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
-                self.length = self.options.cut * h
-                if self.length < self.options.smallest * asked.time_step:
+                path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
+                if path.length < self.options.smallest * asked.time_step:
                     path.reason = f"{outcome.reason}; at time {path.time:g} s"
                     return
                 continue
-            self.length = min(asked.time_step, max(self.length, self.options.longer * h))
+            grown = self.wish or max(path.length, self.options.longer * h)
+            path.length = min(asked.time_step, grown)
             path.last, path.time = done, done.time
             path.methods.append(done.method)
             self.y.copy(path.state)
             path.kinematics = self.k
             if on_step:
                 on_step(done, path)
+            if self._rests(done):
+                path.converged, path.reason = True, f"at rest at time {done.time:g} s"
+                return
         path.converged, path.reason = True, "end of the simulated time"
+
+    def _rests(self, done: TimeStep) -> bool:
+        """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
+        size."""
+        limit, problem = self.asked.stop_at_rest, self.problem
+        if not done.speed < limit:
+            return False
+        acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
+        return acceleration < limit * float(np.sqrt(slow_rate(problem)))
 
     def _begin(self) -> None:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
@@ -199,8 +225,12 @@ class Stepper:
             problem.restore(y, start)
             return None, outcome
         x = problem.positions(y)
+        refusal = self._refusal(problem, prediction, start.time, h, x)
+        if refusal:
+            problem.restore(y, start)
+            return None, Outcome(False, outcome.method, refusal)
         push = _push(problem, x)
-        self.pushed = push.any(axis=1)
+        self.path.pushed = push.any(axis=1)
         self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
         if scheme is self.asked.scheme:
             resisting = self._resistance(problem, prediction, k.positions)
@@ -218,6 +248,27 @@ class Stepper:
             problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
         )
         return done, outcome
+
+    def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: np.ndarray) -> str:
+        """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
+        k, asked = self.k, self.asked
+        if problem.contact:
+            crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
+            if not problem.everywhere(not crosses.any()):
+                return "a step leads through an obstacle"
+        if not asked.accuracy:
+            return ""
+        jump = 0.5 * h * (p.velocity(x) - k.velocity)
+        if asked.scheme.order == 2:
+            smooth = h**2 / 12.0 * (p.acceleration(x) - k.acceleration)
+            jump = np.where(np.broadcast_to(p.rate, x.shape) == 1.0 / h, jump, smooth)
+        error = problem.in_sizes(jump[problem.own]) / asked.accuracy
+        options = self.options
+        self.wish = h * min(
+            max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
+        )
+        finest = h <= options.finest * asked.time_step
+        return "" if error <= 1.0 or finest else "the local error of a step is too large"
 
     def _solve(
         self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
@@ -269,7 +320,7 @@ class Stepper:
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
             return known
         force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
-        bears = force.any(axis=1) | self.pushed
+        bears = force.any(axis=1) | self.path.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
         unknowns.array[:] = problem.layout.collect(dofs) > 0.0
@@ -289,7 +340,7 @@ class Stepper:
         if not loads:
             f = problem.create_vector()
             problem.residual(self.y, f)
-            loads = self.largest = max(self.largest, f.norm(), force_floor(problem))
+            loads = self.path.largest = max(self.path.largest, f.norm(), force_floor(problem))
         heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)

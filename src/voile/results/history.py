@@ -1,0 +1,67 @@
+"""`history.h5`: figures of every step of a run in time, in the group /voile/history, one dataset each.
+
+HDF5 files that grow do not survive a kill. So rows are kept in memory and the file is written anew beside the old one,
+which it replaces, at times that cost little of the run's.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.results.writer import import_h5py
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times what the last one took
+
+
+class HistoryWriter:
+    """Rows of figures; only rank 0 has any. kept: columns of the rows that a resumed run begins with."""
+
+    def __init__(self, path: Path, comm: MPI.Comm, kept: Mapping[str, np.ndarray] | None = None):
+        self.path, self.comm = path, comm
+        self._columns = {name: list(values) for name, values in (kept or {}).items()}
+        self._h5py = import_h5py(comm)
+        self._due = time.perf_counter() + PAUSE
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """One step; writes the file now and then."""
+        if self.comm.rank:
+            return
+        for name, value in row.items():
+            self._columns.setdefault(name, []).append(value)
+        if time.perf_counter() > self._due:
+            self.write()
+
+    def write(self) -> None:
+        """Puts all rows into the file."""
+        if self.comm.rank or not self._columns:
+            return
+        began, part = time.perf_counter(), self.path.with_name(f".{self.path.name}.part")
+        with self._h5py.File(part, "w", locking=False) as file:
+            group = file.create_group("voile/history")
+            for name, values in self._columns.items():
+                group[name] = np.array(values)
+        os.replace(part, self.path)
+        self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
+
+
+def read_history(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """Columns of a history (file, or folder with it). Raises InputError where there is none."""
+    path = Path(path)
+    path = path / "history.h5" if path.is_dir() else path
+    import h5py
+
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            return {name: values[()] for name, values in file["voile/history"].items()}
+    except (OSError, KeyError):
+        raise InputError(f"{path}: no history of a run in time") from None

@@ -1,0 +1,59 @@
+"""The folder `restart`: all that a run in time goes on from, one file per rank.
+
+`last` names the newest complete set: it is replaced when all ranks have written theirs, so that a kill at any time
+leaves a set that fits together.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voile.errors import InputError, on_root
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+
+def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, np.ndarray]) -> None:
+    """Replaces what is in the run's folder by each rank's arrays after a number of steps. Collective."""
+    inside = folder / "restart"
+    on_root(comm, lambda: inside.mkdir(exist_ok=True))
+    np.savez(inside / f"{step}-{comm.rank}.npz", **arrays)
+    comm.barrier()
+
+    def commit() -> None:
+        part = inside / ".last.part"
+        part.write_text(f"{step} {comm.size}\n")
+        os.replace(part, inside / "last")
+        for old in inside.glob("*.npz"):
+            if not old.name.startswith(f"{step}-"):
+                old.unlink()
+
+    on_root(comm, commit)
+
+
+def clear_restart(folder: Path, comm: MPI.Comm) -> None:
+    """Forgets what an earlier run in the folder would go on from. Collective."""
+    on_root(comm, lambda: (folder / "restart" / "last").unlink(missing_ok=True))
+
+
+def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, np.ndarray]:
+    """This rank's arrays of the newest complete set. Raises InputError where there is none for as many ranks."""
+
+    def newest() -> tuple[int, int]:
+        try:
+            step, ranks = map(int, (folder / "restart" / "last").read_text().split())
+        except (OSError, ValueError):
+            raise InputError(f"{folder}: nothing there that a run could go on from (--resume)") from None
+        if ranks != comm.size:
+            raise InputError(f"{folder}: a run of {ranks} ranks; allowed with --resume: as many")
+        return step, ranks
+
+    step, _ = comm.bcast(on_root(comm, newest))
+    with np.load(folder / "restart" / f"{step}-{comm.rank}.npz", allow_pickle=False) as file:
+        return dict(file)

@@ -1,0 +1,154 @@
+"""Dynamics scenes from the command line: results, history, resume, refusals."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving import sheet
+
+from voile.cli import main
+from voile.results import read_result, read_summary
+from voile.results.history import read_history
+
+SCENE = """
+[scene]
+task = "dynamics"
+[shell]
+mesh = "sheet.obj"
+young = 1e5
+thickness = 1e-3
+density = 300.0
+bending = "average"
+velocity = [0.2, 0.0, 0.0]
+[loads]
+gravity = [0.0, 0.0, -9.81]
+[[obstacle]]
+shape = "sphere"
+center = [0.5, 0.25, -0.12]
+radius = 0.1
+friction = 0.4
+move = { angular_velocity = [0.0, 0.0, 2.0], center = [0.5, 0.25, 0.0] }
+[dynamics]
+time_step = 0.005
+duration = 0.2
+[output]
+every = 4
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    points, triangles = sheet(8, 4)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    (tmp_path / "sheet.obj").write_text("\n".join(lines))
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def test_a_run_writes_what_it_did(scene, tmp_path, capsys):
+    assert main(["run", str(scene), "-o", str(tmp_path / "out")]) == 0
+    log = capsys.readouterr().out
+    assert "time 0.2 of 0.2 s" in log and "s/s" in log
+    summary = read_summary(tmp_path / "out" / "summary.json")
+    assert summary["converged"] and summary["steps"] == 40 and summary["task"] == "dynamics"
+    energy = summary["dynamics"]["energy"]
+    assert {"kinetic", "stretching", "bending", "gravity", "friction_dissipated", "scheme_dissipated"} <= set(
+        energy
+    )
+    stored = energy["kinetic"] + sum(summary["energy"].values())
+    lost = sum(value for name, value in energy.items() if name.endswith("dissipated"))
+    given = sum(value for name, value in energy.items() if name.endswith("work"))
+    mass = 0.3 * 0.5
+    assert stored + lost - given == pytest.approx(0.5 * mass * 0.2**2, abs=1e-8 * abs(energy["gravity"]))
+    with read_result(tmp_path / "out") as result:
+        np.testing.assert_allclose(result.values, 0.02 * np.arange(11))
+        moved = result.points(-1) - result.points(-2)
+        speed = result.field("velocity", -1)
+        assert np.abs(speed * 0.02 - moved).max() < 0.3 * np.abs(moved).max()  # it falls faster
+        np.testing.assert_allclose(result.field("velocity", 0), np.tile([0.2, 0.0, 0.0], (45, 1)))
+        assert result.field("contact", -1).any()
+    history = read_history(tmp_path / "out")
+    assert len(history["time"]) == 40 and history["time"][-1] == 0.2
+    assert history["kinetic"][-1] == energy["kinetic"] and history["momentum"].shape == (40, 3)
+    assert history["contact_force"][-1, 2] > 0.0
+
+
+def test_a_killed_run_goes_on_with_the_same_numbers(scene, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    longer = ["--set", "dynamics.duration=3.0", "--set", "dynamics.damping.mass=2"]
+    assert main(["run", str(scene), "-o", str(whole), *longer]) == 0
+    command = [sys.executable, "-m", "voile.cli", "run", str(scene), "-o", str(killed), *longer]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        waited = time.perf_counter()
+        while not list(killed.glob("restart/[1-9]*-0.npz")):
+            assert process.poll() is None and time.perf_counter() - waited < 100.0
+            time.sleep(0.02)
+        os.kill(process.pid, signal.SIGKILL)
+    assert 0 <= int((killed / "restart" / "last").read_text().split()[0]) < 600
+    assert main(["run", str(scene), "-o", str(killed), "--resume", *longer]) == 0
+    with read_result(whole) as one, read_result(killed) as other:
+        np.testing.assert_array_equal(one.values, other.values)
+        for step in range(0, one.n_steps, 10):
+            np.testing.assert_allclose(one.points(step), other.points(step), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.field("velocity"), other.field("velocity"), rtol=0, atol=1e-10)
+    for name, values in read_history(whole).items():
+        np.testing.assert_allclose(read_history(killed)[name], values, rtol=1e-6, atol=1e-9, err_msg=name)
+    summaries = [read_summary(folder / "summary.json") for folder in (whole, killed)]
+    assert summaries[0]["steps"] == summaries[1]["steps"] == 600
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("dynamics.time_step=0", "dynamics.time_step"),
+        ("dynamics.duration=-1", "dynamics.duration"),
+        ("obstacle.0.restitution=1.5", "obstacle.0.restitution"),
+        ("obstacle.0.restitution=0.5", "moreau-jean"),
+        ("dynamics.theta=0.4", "dynamics.theta"),
+        ("dynamics.spectral_radius=1.1", "dynamics.spectral_radius"),
+        ("obstacle.0.move.until=0", "obstacle.0.move.until"),
+        ('obstacle.0.move={path="motion.csv"}', "motion.csv"),
+        ("loads.history=[[0,1],[0,2]]", "loads.history"),
+        ('scene.task="statics"', "obstacle.0.move"),
+    ],
+)
+def test_refusals(scene, tmp_path, capsys, given, message):
+    assert main(["run", str(scene), "-o", str(tmp_path / "out"), "--set", given]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("0,0,0,0\n0.1,0,0,1\n", "lasts from 0 to 0.1 s"),
+        ("t,x,y,z\n0,0,0,0\n0.1,0,0,1\n0.05,0,0,0\n", "line 4: t = 0.05 s is not after"),
+        ("0,0,0\n", "3 numbers"),
+        ("0,0,0,0\n1,a,0,0\n", "line 2: not numbers"),
+        ("", "is empty"),
+    ],
+)
+def test_tables_of_motion_are_checked(scene, tmp_path, capsys, table, message):
+    (tmp_path / "motion.csv").write_text(table)
+    given = 'obstacle.0.move={path="motion.csv"}'
+    assert main(["run", str(scene), "-o", str(tmp_path / "out"), "--set", given]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_resume_refuses_what_is_not_its_own(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["run", str(scene), "-o", str(out), "--resume"]) == 2
+    assert "nothing there" in capsys.readouterr().err
+    assert main(["run", str(scene), "-o", str(out)]) == 0
+    before = (out / "result.vtkhdf").read_bytes()
+    assert main(["run", str(scene), "-o", str(out), "--resume", "--set", "shell.young=2e5"]) == 2
+    assert "another scene" in capsys.readouterr().err and (out / "result.vtkhdf").read_bytes() == before
+    assert main(["run", str(scene), "-o", str(out), "--resume"]) == 0  # it is at its end
+    assert (out / "result.vtkhdf").read_bytes() == before

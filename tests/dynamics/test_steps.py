@@ -1,0 +1,93 @@
+"""Lengths of steps: cut before what they would lead through, chosen by their error, ended at rest."""
+
+import numpy as np
+import pytest
+from moving import cloth, move, sheet
+from test_contact_in_time import on_slope
+
+from voile.contact.motion import Spell
+from voile.contact.obstacles import Box, Sphere
+
+
+def thin_plate(**motion) -> Box:
+    """1 mm thick, around z = 0."""
+    return Box(center=np.zeros(3), sizes=np.array([1.0, 1.0, 5e-4]), friction=0.3, **motion)
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "generalized-alpha", "moreau-jean"])
+def test_a_fast_sheet_stays_above_a_thin_plate(scheme):
+    points, triangles = sheet(4, 4, 0.2, 0.2)
+    points += np.array([-0.1, -0.1, 0.2])
+    run = move(
+        cloth(points, triangles, rest_points=points),
+        scheme,
+        0.01,
+        0.05,
+        np.array([0.0, 0.0, -30.0]),
+        [thin_plate()],
+        offset=5e-4,
+        tolerance=1e-6,
+    )
+    assert run.path.converged and run.path.attempts > run.path.count
+    assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 1e-9
+    assert max(np.diff(run.times)) <= 0.01 + 1e-12
+
+
+def test_a_fast_plate_takes_a_sheet_along():
+    points, triangles = sheet(3, 3, 0.2, 0.2)
+    points += np.array([-0.1, -0.1, 0.2])
+    rises = Spell(displacement=np.array([0.0, 0.0, 1.0]), end=0.01)  # at 100 m/s
+    run = move(
+        cloth(points, triangles, rest_points=points),
+        "implicit-euler",
+        2e-3,
+        0.01,
+        0.0,
+        [thin_plate(motion=rises)],
+        5e-4,
+    )
+    assert run.path.converged
+    heights = [x[:, 2].min() - 100.0 * t for x, t in zip(run.positions, run.times, strict=True)]
+    assert min(heights) > 1e-3 - 1e-9
+
+
+def test_ways_across_bodies_are_seen():
+    ball = Sphere(center=np.zeros(3), radius=0.1)
+    points, triangles = sheet(1, 1)
+    from mpi4py import MPI
+
+    from voile.problem.contact import with_obstacles
+    from voile.problem.problem import Problem
+
+    contact = with_obstacles(Problem(cloth(points, triangles), MPI.COMM_SELF), [ball], 0.0).contact
+    start = np.array([[-1.0, 0.0, 0.05], [-1.0, 0.0, 0.2], [0.0, 0.0, 0.1], [0.0, 0.0, 0.1]])
+    end = np.array(
+        [[1.0, 0.0, 0.05], [1.0, 0.0, 0.2], [0.02, 0.0, np.sqrt(0.01 - 0.02**2)], [0.0, 0.0, -0.1]]
+    )
+    assert contact.crosses(start, 0.0, end, 1.0).tolist() == [True, False, False, True]
+
+
+def test_steps_follow_their_local_error():
+    points, triangles = sheet(6, 3)
+    shell = cloth(points, triangles, np.flatnonzero(points[:, 0] < 1e-9), young=1e5)
+    exact = move(shell, "generalized-alpha", 1e-3, 0.3).end
+    away, counts = [], []
+    for accuracy in (1e-3, 1e-5):
+        run = move(shell, "generalized-alpha", 0.05, 0.3, accuracy=accuracy)
+        assert run.path.converged and max(np.diff(run.times)) <= 0.05 + 1e-12
+        away.append(np.abs(run.end - exact).max())
+        counts.append(run.path.count)
+    assert away[0] < 0.03 and away[1] < 0.1 * away[0] and counts[0] < counts[1] < 150
+
+
+def test_a_run_ends_at_rest():
+    run, *_ = on_slope(0.0, 0.0, "implicit-euler", 1e-2, 5.0, 1.0, friction=0.3, stop_at_rest=1e-3)
+    assert run.path.reason.startswith("at rest") and run.times[-1] == pytest.approx(
+        1.0 / (0.3 * 9.81), abs=0.02
+    )
+
+
+def test_what_falls_from_rest_is_not_at_rest():
+    points, triangles = sheet(2, 2)
+    run = move(cloth(points, triangles), "implicit-euler", 1e-3, 0.05, stop_at_rest=0.1)
+    assert run.times[-1] == 0.05
