@@ -287,24 +287,37 @@ VOILE_INLINE void stretch_biot(const QuadraticRest& r, const Real dl[3], Jet& je
 template <class Model, int order>
 VOILE_INLINE void evaluate_biot(const QuadraticRest& r, const Local& w, Jet& jet) {
   stretch_biot<order>(r, w.over.l, jet);
-  const Real tau[3] = {r.inverse.a + Real(2.0) * r.inverse.b + r.inverse.c, r.inverse.a, r.inverse.c};
-  Real change[3], moment[3];
+  const Real &a = r.inverse.a, &b = r.inverse.b, &d = r.inverse.c;
+  // Scalar products of the shape functions' gradients, which are -nu_i over the altitudes: diagonal; others.
+  const Real tau[3] = {a + Real(2.0) * b + d, a, d}, across[3] = {b, -b - d, -a - b};
+  Real normal[3], out[3], normal_slope[3],
+      out_slope[3];  // increase of II_i along normal and nu_i; by alpha_i
   for (int i = 0; i < 3; ++i) {
-    const Real &s = w.q.s[i], &c = w.q.c[i];
-    change[i] = r.ratio * r.height[i] *
-                Model::Fibre::increase({s, c, s, w.s_rest[i], w.c_rest[i], w.over.s[i], w.over.c[i]});
+    const Real &s = w.q.s[i], &c = w.q.c[i], &height = r.height[i], turned = height * w.over.s[i];
+    normal[i] = turned * (c * w.c_rest[i] - s * w.s_rest[i]);
+    out[i] = turned * (s * w.c_rest[i] + c * w.s_rest[i]);
+    normal_slope[i] = height * (c * c - s * s), out_slope[i] = Real(2.0) * height * s * c;
   }
-  jet.energy.bending = stress(r, tau, SECOND_DET, change, moment) / r.ratio;
+  Real stiff[3][3], stiff_out[3][3], force[3] = {0.0, 0.0, 0.0}, force_out[3] = {0.0, 0.0, 0.0};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      stiff[i][j] = r.ratio * stiffness(r, tau, SECOND_DET, i, j);
+      const Real cosine = i == j ? Real(1.0) : Real(0.25) * r.height[i] * r.height[j] * across[3 - i - j];
+      stiff_out[i][j] = stiff[i][j] * cosine;
+      force[i] += stiff[i][j] * normal[j], force_out[i] += stiff_out[i][j] * out[j];
+    }
+  for (int i = 0; i < 3; ++i)
+    jet.energy.bending += Real(0.5) * (force[i] * normal[i] + force_out[i] * out[i]);
   if constexpr (order == 0) return;
-  for (int i = 0; i < 3; ++i) jet.g[3 + i] = moment[i] * r.height[i] * w.q.c[i];
+  for (int i = 0; i < 3; ++i) jet.g[3 + i] = force[i] * normal_slope[i] + force_out[i] * out_slope[i];
   if constexpr (order < 2) return;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) {
       jet.h[upper(i, 3 + j)] = 0.0;
       if (j < i) continue;
-      const Real arms = r.height[i] * w.q.c[i] * r.height[j] * w.q.c[j];
-      jet.h[upper(3 + i, 3 + j)] = r.ratio * stiffness(r, tau, SECOND_DET, i, j) * arms;
-      if (i == j) jet.h[upper(3 + i, 3 + j)] -= moment[i] * r.height[i] * w.q.s[i];
+      Real& h = jet.h[upper(3 + i, 3 + j)];
+      h = stiff[i][j] * normal_slope[i] * normal_slope[j] + stiff_out[i][j] * out_slope[i] * out_slope[j];
+      if (i == j) h += Real(2.0) * (force_out[i] * normal_slope[i] - force[i] * out_slope[i]);
     }
 }
 

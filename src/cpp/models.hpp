@@ -286,9 +286,11 @@ struct DiscreteShells {
 
 // Projective Dynamics (Bouaziz et al. 2014) with the quadratic-distance energies of a Koiter shell.
 // Stretching is quadratic in Biot's strain U - I: h (mu |U - I|^2 + lambda/2 tr(U - I)^2), where |U - I| = |F
-// - R| and tr U - 2 is sqrt 2 times the distance to the deformations of zero mean strain. Bending is
-// quadratic in the sines of half the hinge angles (isometric bending, Bergou et al. 2006: where edges keep
-// their lengths, they are half the jumps of the unit conormals): Koiter's, with B from altitudes at rest.
+// - R| and tr U - 2 is sqrt 2 times the distance to the deformations of zero mean strain. Bending is Koiter's
+// with II_i = altitude_i (nu_i + nu'_i) in place of 2 altitude_i sin(alpha_i) times the hinge's normal: nu
+// and nu' are the unit outward conormals on both sides of edge i, altitudes those at rest, and vectors are
+// compared with those at rest in the triangle's own frame. Where edges keep their lengths and the rest shape
+// is flat that is quadratic in the positions (isometric bending, Bergou et al. 2006).
 struct Projective {
   static constexpr bool bends = true, directors = false, quadratic = false, biot = true;
   using Fibre = Average;
@@ -305,19 +307,25 @@ struct Projective {
   };
 
   template <class T>
-  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
+  static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real[3], const Invariants<T>& r,
                           const Fabric<T>& f) {
     Sym2<T> da = first_form(dl), rest = first_form(r.l), inverse = rest.inverse();
-    T det_rest = rest.det(), area = 0.5 * sqrt(det_rest), increase[3];
+    T det_rest = rest.det(), area = 0.5 * sqrt(det_rest), along[3], out[2][3];
     for (int i = 0; i < 3; ++i) {
       T height = 2.0 * sqrt(det_rest / r.l[i]);
-      increase[i] = height * (q.s[i] - r.s[i]);
-      set_value(increase[i], value(height) * df[i]);
+      along[i] = height * (q.s[i] * q.c[i] - r.s[i] * r.c[i]);
+      T across = height * (q.s[i] * q.s[i] - r.s[i] * r.s[i]);  // along nu_i, whose components follow
+      T x = i == 0 ? T(0.0) - inverse.a - inverse.b : i == 1 ? inverse.a : inverse.b;
+      T y = (i == 1 ? T(0.0) : i == 0 ? T(-1.0) : T(1.0)) * sqrt(inverse.det());
+      T root = 0.5 * height * across / sqrt(inverse.a);
+      out[0][i] = root * x, out[1][i] = root * y;
     }
     Strain<T> e(inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c, inverse.det() * da.det());
     T mu = lame_mu(f);
     T stretching = (mu + 0.5 * lame_lambda(f)) * e.trace * e.trace - 2.0 * (mu * e.det);
-    T bending = StVK::bending(rest, rest, inverse, rest, second_form(increase), f);
+    T bending = T(0.0);
+    for (const T* part : {along, out[0], out[1]})
+      bending = bending + StVK::bending(rest, rest, inverse, rest, second_form(part), f);
     return {area * f.thickness * stretching, area * bending};
   }
 };

@@ -102,6 +102,9 @@ def supports_move(shell: Shell) -> bool:
 
 def _solver(scene: Scene, model: Model) -> str:
     if scene.scene.task == "dynamics":
+        if scene.dynamics.solver == "local-global":
+            step = f"at most {scene.dynamics.iterations} local and global iterations"
+            return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, one factor by CHOLMOD"
         step = "semismooth Newton" if model.obstacles or scene.contact.self_contact else "Newton"
         return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, MUMPS"
     if scene.scene.task == "inverse" and not scene.inverse.estimate:

@@ -1,15 +1,17 @@
 """Projective Dynamics with dry friction: what sticks stays, what slides slides as Coulomb says."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import protocols
 import pytest
 from falling import G, Slope, cloth, turning_sphere
+from local_global_ranks import OFFSET, stack
 from marching import March
 
-from voile.problem.contact import with_obstacles
+from voile.problem.contact import shell_layers, with_obstacles
 from voile.problem.problem import Problem
 from voile.solver.cascade import Cascade
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
@@ -127,3 +129,45 @@ def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, name,
     for other in found[1:]:
         assert np.abs(other["x"] - first["x"]).max() < exact
         assert np.abs(other["reaction"] - first["reaction"]).max() <= 1e-5 * np.abs(first["reaction"]).sum()
+
+
+def test_layers_land_on_each_other_and_rest():
+    """Three sheets, each smaller than the one below: none passes through another, and the floor bears them all."""
+    shell = stack(3, apart=1.5e-3)
+    floor = Slope(0.0).plane(0.5)
+    problem = with_obstacles(Problem(shell), [floor], OFFSET, shell_layers(shell, OFFSET, 0.4))
+    march, solver = March(problem, 0.0, 4e-3, 1e-6), local_global(problem, 60)
+    started = march.x.copy()
+    for _ in range(40):
+        before = march.x
+        march.step(solver.solve)
+        assert problem.contact.free_share(before, march.x) == 1.0
+    height = OFFSET * np.round(2.0 * started[:, 2] / 1.5e-3 - 1.0)  # 1, 3, 5 offsets
+    assert np.abs(march.x[:, 2] - height).max() < 0.01 * OFFSET
+    weight = G * problem.vertex_mass().sum()
+    reaction = problem.contact.force(march.x, march.time, frozen=False)
+    assert reaction[:, 2].sum() == pytest.approx(weight, rel=0.05)
+    assert (problem.contact.history.normal[1] > 0.0).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("friction", "follows"), [(0.1, False), (0.3, True)])
+def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
+    """Ly et al. 2020, Square1: 6,000 vertices, 20 iterations a step: mean turn of the part on the sphere over 3 s."""
+    points, triangles = protocols.plate(2.4, 2.4, 2.4 / 76)
+    given = {"young": 2.3e5, "thickness": 1e-3, "density": 3000.0}
+    shell = cloth(points - [1.2, 1.2, -0.093], triangles, **given)
+    bodies = [turning_sphere(friction, 0.5, -0.02, 2.857), Slope(0.0).plane(friction)]
+    bodies[1] = replace(bodies[1], point=np.array([0.0, 0.0, -1.0]))
+    problem = with_obstacles(Problem(shell), bodies, 0.0)
+    march, solver = March(problem, 0.0, 5e-3, 1e-6), local_global(problem, 20)
+    on_top = np.flatnonzero(np.linalg.norm(points[:, :2] - 1.2, axis=1) < 0.3)
+    turn, angle = [], np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
+    while march.time < 4.0:
+        march.step(solver.solve)
+        now = np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
+        turn.append(np.median((now - angle + np.pi) % (2.0 * np.pi) - np.pi) / (2.857 * march.h))
+        angle = now
+        assert march.x[:, 2].min() > -1.001 and np.isfinite(march.x).all()
+    rate = np.mean(turn[len(turn) // 2 :])
+    assert rate > 0.9 if follows else rate < 0.5, rate

@@ -5,6 +5,7 @@ solved one after the other in levels: first those with obstacles, then layers ou
 so that a shell lands on what it touches.
 """
 
+import time
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -65,6 +66,11 @@ class LocalLaws:
 
     def linearise(self, x: np.ndarray, reach: np.ndarray, anchor: np.ndarray) -> None:
         """Anew at x, with the history's reactions."""
+        began = time.perf_counter()
+        self._linearise(x, reach, anchor)
+        self.contact.seconds += time.perf_counter() - began
+
+    def _linearise(self, x: np.ndarray, reach: np.ndarray, anchor: np.ndarray) -> None:
         parts = [
             self._layers(k, p, x, anchor) if isinstance(p, SelfContact) else self._obstacle(k, p, x, reach)
             for k, p in enumerate(self.contact.partners)

@@ -1,9 +1,9 @@
 """The constant matrix of Projective Dynamics: the energies' Hessian with all projections held.
 
 Of a triangle whose corners' shape functions have gradients D_j the deformation is F = sum_j x_j D_j^T. Stretching with
-rotations held is quadratic in F. Bending is quadratic in II_i = 2 altitude_i sin(alpha_i). On isometric deformations
-these are the lengths of the vectors altitude_i (nu + nu'), nu and nu' the outward conormals on both sides of edge i,
-which are linear in the positions: |e_i| nu_i = -2 area sum_j (D_i . D_j) x_j (Bergou et al. 2006).
+rotations held is quadratic in F. Bending is quadratic in II_i = altitude_i (nu_i + nu'_i), nu and nu' the unit outward
+conormals on both sides of edge i. Where edges keep their lengths these are linear in the positions: |e_i| nu_i = -2
+area sum_j (D_i . D_j) x_j (Bergou et al. 2006).
 """
 
 import numpy as np

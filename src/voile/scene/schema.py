@@ -231,6 +231,12 @@ class Scene:
                 'allowed above 0 with task = dynamics and dynamics.scheme = "moreau-jean" only',
                 ("obstacle", rebounds[0], "restitution"),
             )
+        local = self.scene.task == "dynamics" and self.dynamics.solver == "local-global"
+        if local and self.shell.model != "projective":
+            raise Rejected(
+                f'fits shell.model = "projective" only, which is "{self.shell.model}" here',
+                ("dynamics", "solver"),
+            )
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:

@@ -1,9 +1,12 @@
 """task = dynamics: the motion in time from the scene's start."""
 
 from voile.problem.damping import Damping
+from voile.problem.problem import Problem
+from voile.solver.methods.local_global import LocalGlobal
+from voile.solver.methods.local_global import Options as LocalGlobalOptions
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions
+from voile.solver.stepping.time_path import Stepper, StepSolver, TimeOptions
 from voile.tasks.in_time import TimeSteps, air, begun, figures
 from voile.tasks.run import Run
 
@@ -28,7 +31,15 @@ def run(job: Run) -> str:
     path = begun(job, problem)
     with job.results(job.mesh(shell, problem.directors), path.time if job.resumes else None) as writer:
         steps = TimeSteps(job, problem, writer, path, d.duration)
-        Stepper(problem, options, NewtonStep(problem), path).follow(steps)
+        Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)
     job.summarise(problem, path, dynamics=figures(problem, path))
     return "" if path.converged else path.reason
+
+
+def step_solver(job: Run, problem: Problem) -> StepSolver:
+    """What the scene asks to solve its steps with."""
+    d = job.scene.dynamics
+    if d.solver == "local-global":
+        return LocalGlobal(problem, LocalGlobalOptions(iterations=d.iterations))
+    return NewtonStep(problem)

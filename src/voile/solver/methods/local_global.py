@@ -10,6 +10,7 @@ laws cut that motion. A fixed point obeys balance and laws exactly; stopped befo
 from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.local import LocalLaws
@@ -40,45 +41,45 @@ class Options:
 
 class LocalGlobal:
     """A method for the problems of steps, which have an inertia term. It stops at the tolerance or after its
-    iterations, and says which in the outcome; `norms`: of balance and laws (N) at the end."""
+    iterations, and says which in the outcome. `norms`: of forces out of balance and of what the laws miss (N), before
+    each iteration of the last run and at its end."""
 
     name = "local-global"
 
     def __init__(self, problem: Problem, options: Options | None = None):
         self.options, self.counts = options or Options(), Counts()
         self.blocks = constant_blocks(problem.part)
-        self.norms = (np.inf, 0.0)
-        self._matrices: dict[float, tuple[ConstantMatrix, np.ndarray]] = {}
+        self.norms: list[tuple[float, float]] = []
+        self._matrices: dict[tuple[float, float], ConstantMatrix] = {}
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        step, most = _Step(self, problem, y), self.options.iterations
+        step, most, self.norms = _Step(self, problem, y), self.options.iterations, []
         for iteration in range(most + 1):
             step.measure(y, iteration % self.options.renew == 0 or iteration == most)
             if step.norm <= tolerance and not step.fresh:
                 step.measure(y, True)
+            self.norms.append(step.norms)
             if step.norm <= tolerance or iteration == most or not np.isfinite(step.norm):
                 break
             step.advance(y)
             self.counts.iterations += 1
         step.finish()
-        self.norms = step.norms
         if not np.isfinite(step.norm):
             return Outcome(False, self.name, "the iteration diverged")
         reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
         return Outcome(True, self.name, reason, norm=step.norm)
 
-    def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, np.ndarray]:
-        """A, and the diagonal of its inertia (own unknowns,) N/m."""
-        if coefficient not in self._matrices:
+    def matrix(self, problem: Problem, coefficient: float) -> ConstantMatrix:
+        """A for an inertia of `coefficient` (1/s^2)."""
+        key = coefficient, problem.elastic.stiffness
+        if key not in self._matrices:
             matrix = problem.create_matrix()
-            problem.assemble(matrix, self.blocks, [mass_blocks(problem.vertex_mass(), coefficient)])
-            inertia = coefficient * problem.mass().array_r
+            inertia = mass_blocks(problem.vertex_mass(), coefficient)
+            problem.assemble(matrix, problem.elastic.stiffness * self.blocks, [inertia])
             kept = list(self._matrices.items())[1 - SIZES :]
-            self._matrices = dict(kept) | {
-                coefficient: (ConstantMatrix(problem, matrix, self.counts), inertia)
-            }
-        return self._matrices[coefficient]
+            self._matrices = dict(kept) | {key: ConstantMatrix(problem, matrix, self.counts)}
+        return self._matrices[key]
 
 
 class _Step:
@@ -87,10 +88,16 @@ class _Step:
 
     def __init__(self, method: LocalGlobal, problem: Problem, y: PETSc.Vec):
         self.problem, self.options = problem, method.options
-        scheme = next(term for term in problem.terms if isinstance(term, Inertia))
-        self.terms = [term for term in problem.terms if term is not scheme and term is not problem.elastic]
-        self.mass, self.predicted = scheme.coefficient * scheme.mass[:, None], scheme.predicted
-        self.matrix, self.inertia = method.matrix(problem, scheme.coefficient)
+        # Where parts of the shell have inertia of their own (schemes change where contact bears), A takes the most.
+        mass, most = problem.vertex_mass()[:, None], 0.0
+        stiffness = sum(
+            (t.coefficient * mass for t in problem.terms if isinstance(t, Inertia)), np.zeros((len(mass), 3))
+        )
+        most = float(np.max(stiffness / np.maximum(mass, 1e-300), initial=0.0))
+        self.matrix = method.matrix(problem, problem.comm.allreduce(most, op=MPI.MAX))
+        dofs = np.zeros(problem.part.matrix.shape[0])
+        dofs[: stiffness.size] = stiffness.ravel()
+        self.inertia = problem.layout.diagonal(dofs)
         self.force, self.direction = problem.create_vector(), problem.create_vector()
         self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
         self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
@@ -98,7 +105,7 @@ class _Step:
         self.laws: LocalLaws | None = None
         if problem.contact:
             self.start = self.anchor = problem.contact.history.reference
-            self.laws = LocalLaws(problem.contact, self.mass.ravel(), problem.time)
+            self.laws = LocalLaws(problem.contact, stiffness.max(axis=1), problem.time)
 
     @property
     def norm(self) -> float:
@@ -106,20 +113,18 @@ class _Step:
         return float(np.hypot(*self.norms))
 
     def measure(self, y: PETSc.Vec, fresh: bool) -> None:
-        """Evaluates forces and laws at y; fresh: contacts are linearised there, and what acts beside elasticity and
-        inertia is evaluated."""
+        """Evaluates forces and laws at y; fresh: contacts are linearised there."""
         problem, laws, missed = self.problem, self.laws, 0.0
         self.fresh = fresh
         at = problem.point(y)
         self.x = at.positions
-        if fresh:
-            self.others = sum((term.forces(at) for term in self.terms), np.zeros(len(self._spread)))
-            if laws is not None:
-                self._linearise(laws, self.x)
         forces = problem.elastic.forces(at)
-        forces += self.others
-        forces[: at.u.size] += (self.mass * (self.predicted - self.x)).ravel()
+        for term in problem.terms:
+            if term is not problem.elastic:
+                forces += term.forces(at)
         if laws is not None:
+            if fresh:
+                self._linearise(laws, self.x)
             forces[: at.u.size] += laws.force().ravel()
             missed = problem.comm.allreduce(laws.mismatch(self.x))
         self.force.array[:] = problem.layout.collect(forces)
