@@ -89,6 +89,21 @@ def _parser() -> argparse.ArgumentParser:
         "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
     )
     sub.add_argument("--view", help="front, back, left, right, top, oblique")
+    sub = command("animate", _animate, "a film of a run over time or load: mp4, gif or webp")
+    sub.add_argument("file", type=Path)
+    sub.add_argument("-o", "--output", type=Path, help="default: film.mp4 beside the result")
+    sub.add_argument("--field", default="strain", help="colours, as for render")
+    sub.add_argument("--fps", type=float, help="frames a second (default: 25; along a load path 5 steps)")
+    sub.add_argument("--speed", type=float, help="seconds of the run in a second of film (default: 1)")
+    sub.add_argument("--view", help="as for render")
+    sub = command("plot", _plot, "quantities of a result against time or load, as PNG")
+    sub.add_argument("file", type=Path)
+    sub.add_argument(
+        "quantity", nargs="*", help="energies (default), contact_force, ...; FIELD:VERTEX at a vertex"
+    )
+    sub.add_argument(
+        "-o", "--output", type=Path, help="default: the quantities' names .png beside the result"
+    )
     sub = command("export", _export, "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png")
     sub.add_argument("file", type=Path)
     where = sub.add_mutually_exclusive_group(required=True)
@@ -131,6 +146,39 @@ def _render(args: argparse.Namespace) -> None:
     out = args.output or folder / f"{args.field}.png"
     render(args.file, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
     print(out)
+
+
+def _animate(args: argparse.Namespace) -> None:
+    from voile.post.film import animate
+
+    def tell(frame: int, count: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[Kframe {frame} of {count}", end="", file=sys.stderr, flush=True)
+
+    folder = args.file if args.file.is_dir() else args.file.parent
+    film = animate(
+        args.file,
+        args.output or folder / "film.mp4",
+        field=args.field,
+        fps=args.fps,
+        speed=args.speed,
+        view=args.view,
+        on_frame=tell,
+    )
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+    if not film.ended:
+        print("note: the run has not ended; the film shows its steps so far")
+    print(film.path)
+
+
+def _plot(args: argparse.Namespace) -> None:
+    from voile.post.plot import plot
+
+    folder = args.file if args.file.is_dir() else args.file.parent
+    names = args.quantity or ["energies"]
+    default = folder / ("-".join(names).replace(":", "-") + ".png")
+    print(plot(args.file, args.output or default, names))
 
 
 def _export(args: argparse.Namespace) -> None:

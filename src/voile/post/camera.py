@@ -21,6 +21,19 @@ FLAT = 0.12  # a shape this much thinner than wide is seen obliquely
 MARGINS = (0.06, 0.34, 0.06, 0.16)
 
 
+def _directions(count: int) -> np.ndarray:
+    """(count, 3) unit vectors spread evenly over the sphere, on Fibonacci's spiral."""
+    k = np.arange(count) + 0.5
+    height, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    across = np.sqrt(1 - height**2)
+    return np.column_stack([across * np.cos(turn), across * np.sin(turn), height])
+
+
+DIRECTIONS = _directions(
+    256
+)  # 13 degrees apart: what lies outside is under a hundredth of the size, less than margins
+
+
 @dataclass(frozen=True)
 class Camera:
     """Position and focus (m), up vector, vertical view angle in degrees."""
@@ -46,6 +59,11 @@ def upright(scene: dict[str, Any]) -> np.ndarray:
     up = np.zeros(3)
     up[axis] = -1.0 if gravity[axis] > 0 else 1.0
     return up
+
+
+def outermost(points: np.ndarray) -> np.ndarray:
+    """(k, 3) those of points (n, 3) that lie furthest in one of DIRECTIONS: a film's frame needs no others."""
+    return points[np.unique((points @ DIRECTIONS.T).argmax(axis=0))]
 
 
 def look(

@@ -1,14 +1,15 @@
 """Contact in pictures: the obstacles' surfaces, reactions as arrows, vertices that are free, stick or slip."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from voile.results import Result
+from voile.results import Body, Result
 
 STATES = {"free": "#d3dbe3", "stick": "#2b6ca3", "slip": "#e58a3c"}  # in the order of the field `contact`
 ARROWS = ("contact", "gap", "reaction")  # fields whose pictures show the reactions
-BODY, ARROW = "#cfcfca", "#8c1c2e"
+BODY, MARK, ARROW = "#cfcfca", "#b2b6b8", "#8c1c2e"
 LONGEST = 0.12  # of the shape's size: an arrow
 FAINT = 0.02  # of the largest: reactions that show no arrow
 LARGE = 2.0  # sizes of the shape: bodies larger than this run out of the picture
@@ -28,14 +29,46 @@ def framed(points: np.ndarray, bodies: list[tuple[np.ndarray, np.ndarray]]) -> n
     return np.concatenate([points, *(p for p, _ in bodies if np.ptp(p, axis=0).max() < most)])
 
 
-def draw_bodies(plotter: Any, bodies: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Plain, and a little further from the eye than they are: where the shape touches it is the shape that shows."""
+def turning_marks(result: Result, steps: np.ndarray) -> list[np.ndarray | None]:
+    """For every obstacle that turns between the steps (k,): (n,) numbers at its points whose sign changes from one
+    octant about its middle to the next, so that turning shows. None for the others."""
+    turns = np.array([result.placements(step)[:, :3, :3] for step in steps])
+    return [
+        None
+        if np.array_equal(turns[:, k], np.broadcast_to(turns[0, k], turns[:, k].shape))
+        else _octants(body)
+        for k, body in enumerate(result.bodies)
+    ]
+
+
+def _octants(body: Body) -> np.ndarray:
+    low, high = body.points.min(axis=0), body.points.max(axis=0)
+    away = (body.points - (low + high) / 2) / np.where(high > low, high - low, 1.0)
+    flat = high - low <= 0.0
+    return np.prod(np.where(flat, 1.0, away), axis=1)
+
+
+def draw_bodies(
+    plotter: Any,
+    bodies: list[tuple[np.ndarray, np.ndarray]],
+    marks: Sequence[np.ndarray | None] | None = None,
+) -> None:
+    """A little further from the eye than they are: where the shape touches it is the shape that shows. Plain but for
+    marks: numbers at the points, whose signs have two shades."""
     import pyvista
 
-    for points, triangles in bodies:
+    for (points, triangles), mark in zip(bodies, marks or [None] * len(bodies), strict=True):
+        body = pyvista.PolyData.from_regular_faces(points, triangles)
+        look: dict[str, Any] = {"color": BODY}
+        if mark is not None:
+            body["mark"] = mark
+            look = {
+                "scalars": "mark", "cmap": [BODY, MARK], "clim": (-1e-9, 1e-9), "interpolate_before_map": True,
+                "show_scalar_bar": False,
+            }  # fmt: skip
         actor = plotter.add_mesh(
-            pyvista.PolyData.from_regular_faces(points, triangles), color=BODY, smooth_shading=True,
-            split_sharp_edges=True, feature_angle=40.0, ambient=0.5, diffuse=0.55, specular=0.0,
+            body, smooth_shading=True, split_sharp_edges=True, feature_angle=40.0, ambient=0.5, diffuse=0.55,
+            specular=0.0, **look,
         )  # fmt: skip
         actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
         actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 400.0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from voile.errors import InputError
 from voile.post import contact
-from voile.post.camera import look, parse_scene, upright
+from voile.post.camera import Camera, look, parse_scene, upright
 from voile.post.quantities import (
     Quantity,
     available,
@@ -57,15 +57,13 @@ def render(
     out = Path(out_png)
     if out.suffix.lower() != ".png":
         raise InputError(f"{out}: pictures are written as .png")
-    if min(size) < 100:
-        raise InputError(f"picture size {size[0]} x {size[1]} pixels; at least 100 x 100 expected")
+    check_size(size)
     with read_result(path) as result:
         if not -result.n_steps <= step < result.n_steps:
             raise InputError(
                 f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
             )
-        if field not in available(result):
-            raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
+        check_field(result, field)
         scene = parse_scene(result.scene_text)
         points, shown = result.points(step), quantity(result, field, step)
         bodies = contact.surfaces(result, step)
@@ -75,22 +73,32 @@ def render(
                 shown = replace(shown, values=vertex_curvature(points, result.triangles)[1])
         everything = np.concatenate([points, result.start]) if outline else points
         camera = look(contact.framed(everything, bodies), upright(scene), view, size)
-        plotter = _plotter(size)
+        plotter = open_plotter(size)
         try:
             contact.draw_bodies(plotter, bodies)
-            _draw_shape(plotter, points, result.triangles, shown, size)
+            draw_shape(plotter, points, result.triangles, shown, size, colour_scale(magnitude(shown)))
             if shape != "rest" and field in contact.ARROWS and "reaction" in result.point_fields:
                 contact.draw_reactions(plotter, points, result.field("reaction", step))
             if outline:
                 _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
-            _write_title(plotter, _title(result, scene, step, "rest shape" if shape == "rest" else ""), size)
-            plotter.camera_position = [tuple(camera.position), tuple(camera.focus), tuple(camera.up)]
-            plotter.camera.view_angle = camera.angle
-            plotter.reset_camera_clipping_range()
+            write_title(plotter, _title(result, scene, step, "rest shape" if shape == "rest" else ""), size)
+            aim(plotter, camera)
             _save(plotter, out)
         finally:
             plotter.close()
     return out
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """InputError for a picture of width, height (pixels) that nothing fits in."""
+    if min(size) < 100:
+        raise InputError(f"picture size {size[0]} x {size[1]} pixels; at least 100 x 100 expected")
+
+
+def check_field(result: Result, field: str) -> None:
+    """InputError for a field that a result does not have."""
+    if field not in available(result):
+        raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
 
 
 def _rest(result: Result) -> np.ndarray:
@@ -102,7 +110,8 @@ def _rest(result: Result) -> np.ndarray:
     return result.rest
 
 
-def _plotter(size: tuple[int, int]) -> Any:
+def open_plotter(size: tuple[int, int]) -> Any:
+    """A white scene with lights for a picture of width, height (pixels); draws off screen."""
     import pyvista
     from vtkmodules.vtkCommonCore import vtkLogger
 
@@ -118,20 +127,34 @@ def _plotter(size: tuple[int, int]) -> Any:
     return plotter
 
 
-def _draw_shape(
+def aim(plotter: Any, camera: Camera) -> None:
+    """Looks from a camera at what is drawn."""
+    plotter.camera_position = [tuple(camera.position), tuple(camera.focus), tuple(camera.up)]
+    plotter.camera.view_angle = camera.angle
+    plotter.reset_camera_clipping_range()
+
+
+def magnitude(shown: Quantity) -> np.ndarray:
+    """The numbers that colours stand for: values, and lengths of vectors."""
+    return shown.values if shown.values.ndim == 1 else np.linalg.norm(shown.values, axis=1)
+
+
+def draw_shape(
     plotter: Any,
     points: np.ndarray,
     triangles: np.ndarray,
     shown: Quantity,
     size: tuple[int, int],
+    colours: tuple[tuple[float, float], str],
 ) -> None:
+    """The surface of points (n, 3) m with its outline, coloured by a quantity on a colour scale (`colour_scale`) that
+    its bar explains; size: the picture's, in pixels."""
     shape = _surface(points, triangles)
     scale = size[1] / 1200
     _draw_lines(plotter, points, boundary_edges(triangles), INK, 2.2 * scale, 1.0)
-    values = shown.values if shown.values.ndim == 1 else np.linalg.norm(shown.values, axis=1)
-    (shape.point_data if shown.location == "point" else shape.cell_data)["shown"] = values
+    (shape.point_data if shown.location == "point" else shape.cell_data)["shown"] = magnitude(shown)
     shape = shape.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
-    limits, colours = _colours(values)
+    limits, scale_name = colours
     unit = f" [{shown.unit}]" if shown.unit else ""
     name = shown.name.replace("_", " ")
     bar: dict[str, Any] = {
@@ -143,7 +166,7 @@ def _draw_shape(
         contact.draw_states(plotter, points, triangles, shape["Normals"], shown.values, bar)
         return
     plotter.add_mesh(
-        shape, scalars="shown", cmap=colours, clim=limits, scalar_bar_args=bar, smooth_shading=True,
+        shape, scalars="shown", cmap=scale_name, clim=limits, scalar_bar_args=bar, smooth_shading=True,
         interpolate_before_map=True, ambient=0.38, diffuse=0.7, specular=0.08, specular_power=12,
         nan_color="lightgrey",
     )  # fmt: skip
@@ -172,7 +195,7 @@ def _draw_lines(
     plotter.add_mesh(lines, color=colour, line_width=width, opacity=opacity, lighting=False)
 
 
-def _colours(values: np.ndarray) -> tuple[tuple[float, float], str]:
+def colour_scale(values: np.ndarray) -> tuple[tuple[float, float], str]:
     """Range and colour map: symmetric about zero for both signs; the outermost percent saturates."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
@@ -207,7 +230,8 @@ def _title(result: Result, scene: dict[str, Any], step: int, shape: str) -> str:
     return f"{name}    {progress}" if name else progress
 
 
-def _write_title(plotter: Any, title: str, size: tuple[int, int]) -> None:
+def write_title(plotter: Any, title: str, size: tuple[int, int]) -> None:
+    """A line above the picture of width, height (pixels)."""
     plotter.add_text(
         title,
         position=(0.03, 0.94),

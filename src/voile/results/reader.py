@@ -75,6 +75,7 @@ class Result:
         if self.n_steps == 0:
             raise InputError(f"{path}: a result without a complete step")
         self.values: np.ndarray = file[OWN_VALUES][: self.n_steps]
+        self.ended = len(file[OWN_VALUES]) == self.n_steps  # else the run goes on, or was killed
         self.n_points = int(file["VTKHDF/NumberOfPoints"][0])
         self.n_cells = int(file["VTKHDF/NumberOfCells"][0])
 
@@ -137,6 +138,12 @@ class Result:
         return tuple(self._file.get("VTKHDF/PointData", {}))
 
     @property
+    def moving_fields(self) -> tuple[str, ...]:
+        """Those of `point_fields` that every step has anew."""
+        data = self._file.get("VTKHDF/PointData", {})
+        return tuple(name for name in data if "static" not in data[name].attrs)
+
+    @property
     def cell_fields(self) -> tuple[str, ...]:
         return tuple(self._file.get("VTKHDF/CellData", {}))
 
@@ -169,12 +176,13 @@ class Result:
         step = self._step(step)
         return {name: float(data[step]) for name, data in self._file.get("voile/steps", {}).items()}
 
+    def figures(self) -> dict[str, np.ndarray]:
+        """(n_steps,) each, the figures stored with the steps."""
+        return {name: data[: self.n_steps] for name, data in self._file.get("voile/steps", {}).items()}
+
     def restart(self, step: int = -1) -> Restart:
         """All that a run needs to go on from a step."""
-        moving = [
-            name for name in self.point_fields if "static" not in self._file["VTKHDF/PointData"][name].attrs
-        ]
-        fields = {name: self.field(name, step) for name in moving}
+        fields = {name: self.field(name, step) for name in self.moving_fields}
         value = float(self.values[self._step(step)])
         return Restart(value, self.points(step), self.edge_angles(step), fields, self.scalars(step))
 

@@ -192,21 +192,23 @@ class Steps:
         self.run.progress.step(step)
         self.reached += 1
         if step.factor >= self.end or self.reached % self.run.scene.output.every == 0:
-            self._write(step.factor, step.residual, 1.0, y)
+            self._write(step.factor, step.residual, 1.0, y, step.energies)
 
     def finish(self, path: LoadPath) -> None:
         """Writes the last good state of a path that did not reach its end."""
         if path.converged:
             return
         if not self.reached:
-            self._write(0.0, math.inf, 0.0, path.state)
+            self._write(0.0, math.inf, 0.0, path.state, {})
         elif self.reached % self.run.scene.output.every:
             last = path.steps[-1]
-            self._write(last.factor, last.residual, 1.0, path.state)
+            self._write(last.factor, last.residual, 1.0, path.state, last.energies)
 
-    def _write(self, at: float, residual: float, converged: float, y: PETSc.Vec) -> None:
+    def _write(
+        self, at: float, residual: float, converged: float, y: PETSc.Vec, energies: dict[str, float]
+    ) -> None:
         start = time.perf_counter()
-        scalars = {"residual": residual, "converged": converged}
+        scalars = {"residual": residual, "converged": converged, **energies}
         self.writer.write_step(at, scalars=scalars, **rows(self.problem.at(at), y))
         self.run.writing += time.perf_counter() - start
 
