@@ -149,6 +149,7 @@ class Stepper:
         solver.counts.add(path.counts)
         path.counts = solver.counts
         self.mass = _mean_mass(problem)
+        problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
