@@ -5,7 +5,8 @@ import pytest
 from moving import Recorded, cloth, move, sheet
 from scipy.spatial.transform import Rotation
 
-from voile.contact.obstacles import Plane
+from voile.contact.motion import Spell
+from voile.contact.obstacles import Plane, Sphere
 from voile.solver.stepping.schemes import SCHEMES
 
 G = 9.81
@@ -88,3 +89,23 @@ def test_an_impact_rubs_with_no_more_than_its_share():
         before = int(np.argmax([step.contact["active"] > 0 for step in run.steps])) - 1
         normal = run.velocities[before + 2][:, 2].mean() - run.velocities[before][:, 2].mean() + 2e-3 * G
         assert along[before] - along[before + 2] == pytest.approx(min(mu * normal, speed), rel=1e-9)
+
+
+def test_a_turning_ball_takes_a_sheet_along_by_friction():
+    """A drape on a ball at 3 rad/s: at mu = 0.5 it turns with it, at 0.05 it slips and follows."""
+    points, triangles = sheet(6, 6, 0.24, 0.24)
+    points -= points.mean(axis=0)
+    near = np.hypot(points[:, 0], points[:, 1]) < 0.07
+    center, rate, duration = np.array([0.0, 0.0, -0.1]), 3.0, 0.4
+    turns = Spell(rotation=np.array([0.0, 0.0, rate * duration]), center=center, end=duration)
+    found = []
+    for friction in (0.05, 0.5):
+        ball = Sphere(center=center, radius=0.1, friction=friction, motion=turns)
+        shell = cloth(points, triangles, young=5e4, model="koiter/tan/neo-hookean")
+        run = move(shell, "implicit-euler", 5e-3, duration, 0.0, [ball], tolerance=1e-6)
+        assert run.path.converged and max(step.contact["max_penetration"] for step in run.steps) < 1e-12
+        x, v = run.end[near], run.velocities[-1][near]
+        found.append((x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]).sum() / (x[:, :2] ** 2).sum())
+        assert run.path.books.totals["obstacles_work"] > 0.0
+        assert run.solver.counts.factorisations < 5 * run.path.count
+    assert 0.1 < found[0] < 0.8 * rate and found[1] == pytest.approx(rate, rel=0.02)

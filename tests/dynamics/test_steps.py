@@ -6,7 +6,7 @@ from moving import cloth, move, sheet
 from test_contact_in_time import on_slope
 
 from voile.contact.motion import Spell
-from voile.contact.obstacles import Box, Sphere
+from voile.contact.obstacles import Box, Plane, Sphere
 
 
 def thin_plate(**motion) -> Box:
@@ -91,3 +91,20 @@ def test_what_falls_from_rest_is_not_at_rest():
     points, triangles = sheet(2, 2)
     run = move(cloth(points, triangles), "implicit-euler", 1e-3, 0.05, stop_at_rest=0.1)
     assert run.times[-1] == 0.05
+
+
+def test_extremes_converge():
+    """Steps of 1e-6 to 1 s, stiffness over 12 decades, any friction, thin and thick, one triangle: a sheet lands."""
+    flat, triangles = sheet(2, 2, 0.2, 0.2)
+    one = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]), np.array([[0, 1, 2]], dtype=np.int32)
+    cases = [(h, {}, 0.3, (flat, triangles)) for h in (1e-6, 1e-4, 1e-2, 1.0)]
+    cases += [(1e-3, {"young": young}, 0.3, (flat, triangles)) for young in (1e-1, 1e11)]
+    cases += [(1e-3, {"thickness": thickness}, 0.3, (flat, triangles)) for thickness in (2e-7, 0.1)]
+    cases += [(1e-3, {}, friction, (flat, triangles)) for friction in (0.0, 10.0)]
+    cases += [(1e-3, {}, 0.3, one)]
+    for h, fabric, friction, (rest, corners) in cases:
+        ground = Plane(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]), friction=friction)
+        shell = cloth(rest + np.array([0.0, 0.0, 1e-3]), corners, rest_points=rest, **fabric)
+        run = move(shell, "implicit-euler", h, 10 * h, np.array([0.5, 0.0, -1.0]), [ground], tolerance=1e-6)
+        assert run.path.converged, (h, fabric, friction, run.path.reason)
+        assert min(x[:, 2].min() for x in run.positions) > -1e-12

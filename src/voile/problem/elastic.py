@@ -15,11 +15,12 @@ SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
 
 class Elastic(Term):
     """The energy of a model, by its kernel; flat: the rest shape has no folds. `stiffness`: a factor on it, 1 but while
-    a step in time is damped. `seconds`: spent in it, and in what goes into the matrix with it."""
+    a step in time is damped. `passes`: hinges may turn through 180 degrees, as they may in time where no layer is in
+    another's way; equilibria never need it. `seconds`: spent in it, and in what goes into the matrix with it."""
 
     def __init__(self, part: Part, model: str, flat: bool):
         self.part, self.model, self.flat = part, model, flat
-        self.seconds, self.stiffness = 0.0, 1.0
+        self.seconds, self.stiffness, self.passes = 0.0, 1.0, False
         self.count_from(part.points)
 
     def count_from(self, start: np.ndarray) -> None:
@@ -83,9 +84,8 @@ class Elastic(Term):
 
     def _admits(self, at: Point, u: np.ndarray, phi: np.ndarray) -> bool:
         """Whether the way to displacements u and director angles phi is one."""
-        return not self.kernel.folds_over(at.u, at.phi, u, phi) and bool(
-            np.isfinite(sum(self.kernel.energy(u, phi)))
-        )
+        folds = not self.passes and self.kernel.folds_over(at.u, at.phi, u, phi)
+        return not folds and bool(np.isfinite(sum(self.kernel.energy(u, phi))))
 
 
 def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kernels.Elastic:

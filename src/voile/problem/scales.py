@@ -5,6 +5,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.problem import Problem
+from voile.problem.shell import triangle_areas
 
 
 def slow_rate(problem: Problem) -> float:
@@ -42,6 +43,14 @@ def round_off(problem: Problem, y: PETSc.Vec) -> tuple[float, float]:
     step.array[:] = np.finfo(float).eps * sign * problem.size()
     ahead, back = (_residual_at(problem, y, step, side) for side in (1.0, -1.0))
     return stored, (ahead + back - 2.0 * here).norm() / np.sqrt(6.0)  # the linear part cancels
+
+
+def least_area(problem: Problem, y: PETSc.Vec) -> float:
+    """The smallest area of a triangle over that at rest."""
+    part = problem.part
+    now = triangle_areas(problem.positions(y), part.corners)
+    rest = triangle_areas(part.rest_points, part.rest_corners)
+    return float(problem.comm.allreduce(float((now / rest).min(initial=np.inf)), op=MPI.MIN))
 
 
 def _residual_at(problem: Problem, y: PETSc.Vec, step: PETSc.Vec, length: float) -> PETSc.Vec:

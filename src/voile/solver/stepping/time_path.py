@@ -16,7 +16,7 @@ from voile.problem.damping import Air, Damping, KelvinVoigt, Viscous, Wind
 from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.scales import force_floor, slow_rate
+from voile.problem.scales import force_floor, least_area, slow_rate
 from voile.problem.terms import Term
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
@@ -31,7 +31,8 @@ class Options:
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter."""
+    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. crushed:
+    of a triangle's area at rest, which is blamed for a failure."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -41,6 +42,7 @@ class Options:
     rest: float = 2.0
     digits: float = 4.0
     finest: float = 1.0 / 256.0
+    crushed: float = 0.1
 
 
 @dataclass
@@ -149,6 +151,7 @@ class Stepper:
         solver.counts.add(path.counts)
         path.counts = solver.counts
         self.mass = _mean_mass(problem)
+        problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
@@ -169,7 +172,7 @@ class Stepper:
             if done is None:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
                 if path.length < self.options.smallest * asked.time_step:
-                    path.reason = f"{outcome.reason}; at time {path.time:g} s"
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s{self._blame()}"
                     return
                 continue
             grown = self.wish or max(path.length, self.options.longer * h)
@@ -184,6 +187,13 @@ class Stepper:
                 path.converged, path.reason = True, f"at rest at time {done.time:g} s"
                 return
         path.converged, path.reason = True, "end of the simulated time"
+
+    def _blame(self) -> str:
+        """What is wrong with the shape from which no step leads on, where that can be seen."""
+        share = least_area(self.problem, self.y)
+        if share > self.options.crushed:
+            return ""
+        return f"; a triangle is crushed to {share:.2g} of its area at rest, which material = neo-hookean resists"
 
     def _rests(self, done: TimeStep) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
