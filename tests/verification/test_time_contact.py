@@ -65,12 +65,12 @@ def test_a_bar_bounces_on_its_waves():
 def oscillating_pad(steps: int) -> tuple[Recorded, np.ndarray, float]:
     """A stiff sheet at the end of a soft strip, let go 4.25 times 2 mu N / k from its middle: the run, displacements
     along the strip over that length, half the period (s)."""
-    cells, gravity, thickness, friction = 6, 10.0, 1e-3, 0.01
+    cells, gravity, thickness, friction = 6, 10.0, 1e-3, 0.001
     width = 1.0 / cells
     points, triangles = sheet(cells + 1, 1, 1.0 + width, width)
     pad = points[triangles].mean(axis=1)[:, 0] > 1.0
     strip = points[:, 0] < 1.0 - 1e-9
-    points[strip, 2] = 1e-4  # off the plane
+    points[strip, 2] = 1e-5  # off the plane
     stiffness, mass = 1e5 * thickness * width, 6e3 * thickness * width**2
     fall = 2.0 * friction * mass * gravity / stiffness
     start, fixed = points.copy(), np.zeros(points.shape, dtype=bool)
@@ -103,12 +103,12 @@ def test_a_pad_on_a_spring_loses_the_same_in_each_swing_and_sticks():
     for steps in (200, 400):
         run, away, half = oscillating_pad(steps)
         assert run.path.converged
-        swing = np.round(np.array(run.times) / half).astype(int)
-        peaks = np.array([np.abs(away[swing == k]).max() for k in range(5)])
+        swing = np.array(run.times) / half
+        peaks = np.array([np.abs(away[np.abs(swing - k) < 0.1]).max() for k in range(5)])
         missed.append(np.abs(peaks - [4.25, 3.25, 2.25, 1.25, 0.25]).max())
         assert np.abs(run.velocities[-1]).max() < 1e-12  # off the centre
         assert abs(away[-1]) < 0.5
-    assert missed[1] < 0.2 and missed[1] < 0.65 * missed[0]
+    assert missed[1] < 0.15 and missed[1] < 0.65 * missed[0]
 
 
 @pytest.mark.slow
