@@ -49,8 +49,10 @@ class NewtonStep:
         return self.work.counts
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
-        """See Method. A guess that is far better than the tolerance, as in free flight, is taken as it is."""
-        if problem.contact:
+        """See Method. In free flight a guess that is far better than the tolerance is taken as it is. What bears never
+        is: its stick is to be exact."""
+        contact = problem.contact
+        if contact and problem.everywhere(not any(normal.any() for normal in contact.history.normal)):
             norm = float(np.hypot(*law_norms(problem, y, y.duplicate(), tolerance)))
             if norm <= self.options.sharp * tolerance:
                 return Outcome(True, "prediction", norm=norm)
