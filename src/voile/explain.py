@@ -129,7 +129,7 @@ def _solver(scene: Scene, model: Model) -> str:
 def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
     """Whether coarser levels of the mesh are solved first, and why (see solver.nested.pays)."""
     shell, options, statics = model.shell, Options(), scene.statics
-    moves = supports_move(shell) or any(body.motion.moves for body in model.obstacles)
+    moves = supports_move(shell) or any(body.moves for body in model.obstacles)
     against = {
         f"task = {scene.scene.task!r}": scene.scene.task != "statics",
         "statics.nested is false": not statics.nested,

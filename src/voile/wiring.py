@@ -126,7 +126,7 @@ def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
     """Whether anything may press the shell on obstacles, so that they hold it."""
     loads = (shell.gravity, shell.pressure, shell.force, shell.moment, shell.motion)
     loaded = any(load is not None and np.any(load) for load in loads)
-    return loaded or any(body.motion.moves for body in bodies)
+    return loaded or any(body.moves for body in bodies)
 
 
 def _sunk(bodies: list[Obstacle], shell: Shell, offset: float, tolerance: float) -> list[str]:
@@ -288,7 +288,21 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
         body = SHAPES[spec.shape]
         laws = {"friction": spec.friction, "restitution": spec.restitution}
         found.append(body.build(spec.geometry(), name=f"{spec.shape} {k}", motion=motion, **laws))
+        _check_frames(scene, k, found[-1])
     return found
+
+
+def _check_frames(scene: Scene, k: int, body: Obstacle) -> None:
+    """Raises InputError where a body that deforms in time ends early."""
+    frames = getattr(body, "frames", None)
+    if frames is None:
+        return
+    lasts, duration = (len(frames.points) - 1) * frames.step, scene.dynamics.duration
+    if lasts < duration * (1.0 - 1e-9):
+        raise InputError(
+            f"{scene.path}: obstacle.{k}.frames: {len(frames.points)} frames last to {lasts:g} s; allowed: to "
+            f"dynamics.duration = {duration:g} s at least"
+        )
 
 
 def check_depth(bodies: list[Obstacle], shell: Shell, offset: float, where: str, limit: float) -> None:

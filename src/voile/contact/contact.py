@@ -61,45 +61,30 @@ class Contact(NaturalMap):
         """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
         obstacle and ends elsewhere on it: where the normal is another. Distances bound how far a vertex is from
         entering (conservative advancement), so that no body is too thin."""
-        start, way = time.perf_counter(), moved - x
-        found = np.zeros(len(x), dtype=bool)
+        start, found = time.perf_counter(), np.zeros(len(x), dtype=bool)
         for k, obstacle in enumerate(self.obstacles):
-            carried = np.linalg.norm(obstacle.carry(x, began, ended) - x, axis=1)
-            length = np.linalg.norm(way, axis=1) + carried
+            begin, end = obstacle.way(x, began, moved, ended)
+            length = np.linalg.norm(end - begin, axis=1)
+            offset = np.asarray(self.offset)[k]
             share, entry = np.zeros(len(x)), np.zeros_like(x)
             going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
             for _ in range(ADVANCES):
                 if not len(going):
                     break
-                s = share[going]
-                there = x[going] + s[:, None] * way[going]
-                times = began + s * (ended - began)
-                gap, normal = self._gaps_at(k, there, times, going)
-                inside = gap <= self.touch
+                there = begin[going] + share[going, None] * (end - begin)[going]
+                gap, normal = obstacle.derivatives_on_way(there, began)[:2]
+                inside = gap - offset[going] <= self.touch
                 entry[going[inside]] = normal[inside]
-                share[going] = s + np.maximum(gap, self.touch) / np.maximum(length[going], 1e-300)
+                share[going] += np.maximum(gap - offset[going], self.touch) / np.maximum(
+                    length[going], 1e-300
+                )
                 going = going[~inside & (share[going] < 1.0)]
             entered = np.flatnonzero(entry.any(axis=1))
             if len(entered):
-                _, normal, _ = obstacle.gap_derivatives(moved[entered], ended)
+                normal = obstacle.derivatives_on_way(end[entered], began)[1]
                 found[entered] |= np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
         self.seconds += time.perf_counter() - start
         return found
-
-    def _gaps_at(
-        self, k: int, points: np.ndarray, times: np.ndarray, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps (p,) m of vertices `rows` to obstacle k, and unit normals (p, 3), at places and times of their own."""
-        obstacle = self.obstacles[k]
-        if not obstacle.motion.moves:
-            gap, gradient, _ = obstacle.gap_derivatives(points, 0.0)
-        else:
-            parts = [
-                obstacle.gap_derivatives(p[None], float(t))[:2] for p, t in zip(points, times, strict=True)
-            ]
-            gap, gradient = (np.concatenate(part) for part in zip(*parts, strict=True))
-        size = np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-300)
-        return gap - np.asarray(self.offset)[k][rows], gradient / size
 
     # ---- as a potential ----
 

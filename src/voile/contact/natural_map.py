@@ -86,7 +86,7 @@ class NaturalMap:
     @property
     def moves(self) -> bool:
         """Whether an obstacle moves along the load path."""
-        return any(o.motion.moves for o in self.obstacles)
+        return any(o.moves for o in self.obstacles)
 
     @property
     def frictions(self) -> list[tuple[str, float]]:

@@ -72,6 +72,24 @@ class Obstacle:
 
     # ---- in space, as placed at time t ----
 
+    @property
+    def moves(self) -> bool:
+        """Whether it is ever elsewhere than at t = 0."""
+        return self.motion.moves
+
+    def way(
+        self, points: np.ndarray, began: float, moved: np.ndarray, ended: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Begin and end (n, 3) of ways from `points`, at the time `began`, to `moved`, at `ended`, as the body sees
+        them."""
+        return self.motion.unplace(points, began), self.motion.unplace(moved, ended)
+
+    def derivatives_on_way(
+        self, points: np.ndarray, began: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`derivatives` at points of such ways."""
+        return self.derivatives(points)
+
     def gap(self, points: np.ndarray, t: float) -> np.ndarray:
         """(n,) signed distance of points (n, 3)."""
         return self.distance(self.motion.unplace(points, t) if self.motion.moves else points)

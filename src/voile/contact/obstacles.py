@@ -13,10 +13,12 @@ import numpy as np
 
 from voile.contact.directions import NOWHERE, TINY, normalised, perpendicular, radial, unit
 from voile.contact.field import DistanceField, distance_field
+from voile.contact.frames import Frames, frame_files
 from voile.contact.motion import Motion
 from voile.contact.obstacle import SHAPES, Obstacle
 from voile.contact.pairs import dot, outer
 from voile.contact.surfaces import AROUND, revolve, stretch, unit_sphere
+from voile.errors import InputError
 from voile.keys import File, Number, Rejected, Vector3, key, vector
 from voile.mesh import read_body
 
@@ -253,7 +255,14 @@ class Box(Obstacle, shape="box"):
 class MeshKeys:
     """The scene table of a mesh."""
 
-    file: Path = key(File(), "triangle mesh of the body, normals outwards")
+    file: Path | None = key(File(), "triangle mesh of the body, normals outwards", default=None)
+    frames: Path | None = key(
+        File(),
+        "dynamics: in place of file, the body as it deforms, a pattern such as body_%03d.obj of meshes with the same "
+        "triangles",
+        default=None,
+    )
+    frame_time: float | None = key(Number("s", above=0), "time between two frames", default=None)
     scale: float = key(Number("m", above=0), "metres per unit of the file", default=1.0)
     translate: Vector3 = key(vector("m"), "shift after scaling", default=(0.0, 0.0, 0.0))
     resolution: float | None = key(
@@ -265,17 +274,59 @@ class MeshKeys:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshBody(DistanceField, Obstacle, shape="mesh"):
-    """A body bounded by triangles."""
+    """A body bounded by triangles; with frames as it deforms in time."""
+
+    frames: Frames | None = None
+
+    @property
+    def moves(self):
+        return self.motion.moves or self.frames is not None
+
+    def gap(self, points, t):
+        return self.frames.distance(points, t) if self.frames else super().gap(points, t)
+
+    def gap_derivatives(self, points, t):
+        return self.frames.derivatives(points, t) if self.frames else super().gap_derivatives(points, t)
+
+    def carry(self, points, start, end):
+        return self.frames.carry(points, start, end) if self.frames else super().carry(points, start, end)
+
+    def way(self, points, began, moved, ended):
+        """In the shape that the body has at the beginning."""
+        if not self.frames:
+            return super().way(points, began, moved, ended)
+        return points, moved - (self.frames.carry(points, began, ended) - points)
+
+    def derivatives_on_way(self, points, began):
+        return self.frames.derivatives(points, began) if self.frames else self.derivatives(points)
 
     @classmethod
     def scene_keys(cls):
         return {f.name: f for f in fields(MeshKeys)}
 
     @classmethod
+    def check(cls, table):
+        if (table.file is None) == (table.frames is None):
+            problem = 'shape = "mesh" needs file' if table.file is None else "not together with file"
+            raise Rejected(f'the key "file" is missing; {problem}' if table.file is None else problem, ())
+        if table.frames and table.frame_time is None:
+            raise Rejected('the key "frame_time" is missing; frames need it')
+        if table.frames and table.move:
+            raise Rejected("frames do not go together with a move", ("move",))
+
+    @classmethod
     def build(cls, values, **common):
-        points, triangles = read_body(values["file"], values["scale"])
-        shifted = points + values["translate"]
-        return cls.around(shifted, triangles, values["resolution"], str(values["file"]), **common)
+        files = [values["file"]] if values["file"] else frame_files(values["frames"])
+        bodies = [read_body(file, values["scale"]) for file in files]
+        points, triangles = bodies[0]
+        for file, (other, corners) in zip(files, bodies, strict=True):
+            if other.shape != points.shape or not np.array_equal(corners, triangles):
+                raise InputError(f"{file}: other triangles than {files[0]}; frames need the same")
+        shifted = np.array([body[0] for body in bodies]) + values["translate"]
+        if values["frames"]:
+            shape = triangles, values["frame_time"], values["resolution"], str(values["frames"])
+            common["frames"] = Frames(shifted, *shape)
+        return cls.around(shifted[0], triangles, values["resolution"], str(files[0]), **common)
 
     @classmethod
     def around(

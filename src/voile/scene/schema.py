@@ -225,6 +225,9 @@ class Scene:
                             "allowed without task = dynamics: displacement, rotation, center",
                             (table, index, "move"),
                         )
+            for index, body in enumerate(self.obstacle):
+                if getattr(body, "frames", None):
+                    raise Rejected("allowed with task = dynamics", ("obstacle", index, "frames"))
         rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
         if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
             raise Rejected(

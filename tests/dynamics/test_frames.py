@@ -1,0 +1,90 @@
+"""Bodies that deform in time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving import cloth, move, sheet
+from test_runs_in_time import SCENE, scene
+
+from voile.cli import main
+from voile.contact.frames import Frames
+from voile.contact.obstacles import Sphere
+
+__all__ = ["scene"]  # a fixture
+
+
+def ball(cells: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """A sphere of radius 1 as triangles."""
+    return Sphere(center=np.zeros(3), radius=1.0).surface(np.zeros((2, 3)))
+
+
+def frames_of(places: list[np.ndarray], radii: list[float], step: float = 0.1) -> Frames:
+    points, triangles = ball()
+    shapes = np.array([r * points + c for r, c in zip(radii, places, strict=True)])
+    return Frames(shapes, triangles, step, 0.02, "ball")
+
+
+def test_what_touches_a_body_goes_with_it():
+    frames = frames_of([np.zeros(3), np.array([0.02, 0.0, 0.0])], [0.2, 0.2])
+    p = 0.2 * np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]])
+    moved = frames.carry(p, 0.0, 0.05)
+    np.testing.assert_allclose(moved - p, np.tile([0.01, 0.0, 0.0], (3, 1)), atol=1e-12)
+    gap, normal, _ = frames.derivatives(moved, 0.05)
+    np.testing.assert_allclose(gap, 0.0, atol=2e-3)
+    np.testing.assert_allclose(normal, p / 0.2, atol=0.05)
+    step = 1e-6 * np.array([0.3, -0.5, 0.8])
+    slope = (frames.distance(moved + step, 0.05) - frames.distance(moved - step, 0.05)) / 2.0
+    np.testing.assert_allclose(slope, normal @ step, rtol=1e-4, atol=1e-11)
+
+
+def test_a_ball_that_swells_lifts_a_sheet():
+    from voile.contact.obstacles import MeshBody
+
+    places, radii = [np.array([0.0, 0.0, -0.1])] * 3, [0.099, 0.119, 0.119]
+    frames = frames_of(places, radii)
+    body = MeshBody.around(frames.points[0], frames.triangles, 0.01, friction=0.5, frames=frames)
+    points, triangles = sheet(4, 4, 0.1, 0.1)
+    points -= np.array([0.05, 0.05, 0.0])
+    shell = cloth(points, triangles, young=1e6, thickness=2e-3)
+    run = move(shell, "implicit-euler", 5e-3, 0.2, 0.0, [body], tolerance=1e-6)
+    assert run.path.converged
+    middle = np.argmin(np.abs(points).sum(axis=1))
+    assert run.end[middle, 2] == pytest.approx(0.019, abs=2e-3)
+    assert run.path.books.totals["obstacles_work"] > 0.0
+    assert frames.distance(run.end, 0.2).min() > -1e-9
+
+
+def write_frames(folder: Path, count: int) -> None:
+    points, triangles = ball()
+    for k in range(count):
+        lines = [
+            f"v {x!r} {y!r} {z!r}" for x, y, z in (0.1 * points + [0.5 + 0.01 * k, 0.25, -0.12]).tolist()
+        ]
+        lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+        (folder / f"body_{k:03d}.obj").write_text("\n".join(lines))
+
+
+def with_frames(text: str) -> str:
+    begin, end = text.index("[[obstacle]]"), text.index("[dynamics]")
+    body = '[[obstacle]]\nshape = "mesh"\nframes = "body_%03d.obj"\nframe_time = 0.1\nfriction = 0.4\n'
+    return text[:begin] + body + text[end:]
+
+
+def test_a_scene_with_frames(scene, tmp_path, capsys):
+    scene.write_text(with_frames(SCENE))
+    run = ["run", str(scene), "-o", str(tmp_path / "out")]
+    assert main(run) == 2 and "no such file" in capsys.readouterr().err
+    write_frames(tmp_path, 2)
+    assert main(run) == 2 and "2 frames last to 0.1 s" in capsys.readouterr().err
+    assert (
+        main([*run, "--set", "obstacle.0.file=body_000.obj"]) == 2
+        and "not together" in capsys.readouterr().err
+    )
+    assert main([*run, "--set", "scene.task=statics"]) == 2 and "frames" in capsys.readouterr().err
+    write_frames(tmp_path, 3)
+    text = (tmp_path / "body_002.obj").read_text()
+    (tmp_path / "body_002.obj").write_text(text[: text.rindex("\n")])
+    assert main(run) == 2 and "other triangles" in capsys.readouterr().err
+    write_frames(tmp_path, 3)
+    assert main(run) == 0
