@@ -168,6 +168,6 @@ def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
         now = np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
         turn.append(np.median((now - angle + np.pi) % (2.0 * np.pi) - np.pi) / (2.857 * march.h))
         angle = now
-        assert march.x[:, 2].min() > -1.001 and np.isfinite(march.x).all()
+        assert march.x[:, 2].min() > -1.02 and np.isfinite(march.x).all()
     rate = np.mean(turn[len(turn) // 2 :])
     assert rate > 0.9 if follows else rate < 0.5, rate
