@@ -154,7 +154,7 @@ def test_layers_land_on_each_other_and_rest():
 @pytest.mark.parametrize(("friction", "follows"), [(0.1, False), (0.3, True)])
 def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
     """Ly et al. 2020, Square1, 6,000 vertices, 20 iterations a step: turn of the part on the sphere over the sphere's
-    own in the third second. Its corners drag on the floor with the same friction (measured: 0.53 and 0.81)."""
+    own in the sixth second. Its corners drag on the floor with the same friction (measured: 0.66 and 1.00)."""
     points, triangles = protocols.plate(2.4, 2.4, 2.4 / 76)
     given = {"young": 2.3e5, "thickness": 1e-3, "density": 3000.0}
     shell = cloth(points - [1.2, 1.2, -0.093], triangles, **given)
@@ -164,11 +164,11 @@ def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
     march, solver = March(problem, 0.0, 5e-3, 1e-6), local_global(problem, 20)
     on_top = np.flatnonzero(np.linalg.norm(points[:, :2] - 1.2, axis=1) < 0.3)
     turn, angle = [], np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
-    while march.time < 3.0:
+    while march.time < 6.0:
         march.step(solver.solve)
         now = np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
         turn.append(np.median((now - angle + np.pi) % (2.0 * np.pi) - np.pi) / (2.857 * march.h))
         angle = now
         assert march.x[:, 2].min() > -1.02 and np.isfinite(march.x).all()
     rate = np.mean(turn[-200:])
-    assert rate > 0.75 if follows else 0.3 < rate < 0.65, rate
+    assert rate > 0.97 if follows else 0.3 < rate < 0.8, rate
