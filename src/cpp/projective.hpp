@@ -22,9 +22,9 @@ struct LocalContacts {
 
   int count() const { return (int)gap.size(); }
 
-  // One pass of Gauss-Seidel over the contacts: each reaction becomes the one with which its vertices, moved by
-  // it over their inertia (N/m), obey Signorini's and Coulomb's laws; x (3n) m moves along. Returns the sum of
-  // squares of the reactions' changes.
+  // One pass of Gauss-Seidel over the contacts: each reaction becomes the one with which its vertices, moved
+  // by it over their inertia (N/m), obey Signorini's and Coulomb's laws; x (3n) m moves along. Returns the
+  // sum of squares of the reactions' changes.
   double sweep(double* x, const double* inertia);
   // Adds the reactions to the vertices' forces (3n) N.
   void spread(double* force) const;

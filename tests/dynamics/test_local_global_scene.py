@@ -1,0 +1,91 @@
+"""dynamics.solver = "local-global" from a scene: results as Newton's, and what it does not fit."""
+
+import json
+
+import numpy as np
+import pytest
+from test_problem import sheet
+
+from voile.cli import main
+from voile.mesh.obj import write_obj
+from voile.results import read_result
+
+SCENE = """
+[scene]
+task = "dynamics"
+[shell]
+mesh = "sheet.obj"
+model = "projective"
+young = 2e4
+thickness = 1e-3
+density = 300.0
+[[obstacle]]
+shape = "sphere"
+center = [0.5, 0.25, -0.201]
+radius = 0.2
+friction = 0.3
+[dynamics]
+time_step = 0.01
+duration = 0.3
+tolerance = 1e-8
+iterations = 1000
+[loads]
+gravity = [0.0, 0.0, -9.81]
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    write_obj(tmp_path / "sheet.obj", *sheet(10, 5))
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path / "scene.toml"
+
+
+def run(scene, name, *overrides):
+    out = scene.parent / name
+    options = [word for override in overrides for word in ("--set", override)]
+    return main(["run", str(scene), "-o", str(out), *options]), out
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "bdf2", "generalized-alpha", "moreau-jean"])
+def test_a_scene_moves_as_with_newtons_method(scene, scheme):
+    ends = []
+    for solver in ("newton", "local-global"):
+        chosen = (f'dynamics.solver="{solver}"', f'dynamics.scheme="{scheme}"')
+        code, out = run(scene, solver, *chosen)
+        assert code == 0
+        with read_result(out) as result:
+            ends.append(result.points())
+        assert (
+            solver != "local-global"
+            or "local-global" in json.loads((out / "summary.json").read_text())["method"]
+        )
+    assert np.ptp(ends[0][:, 2]) > 0.1
+    assert np.abs(ends[0] - ends[1]).max() < 1e-5
+
+
+def test_damping_and_wind_are_in_the_iteration(scene):
+    ends = []
+    damped = ("dynamics.damping.mass=2.0", "dynamics.damping.stiffness=0.002", "loads.wind=[2.0,0.0,1.0]")
+    for solver in ("newton", "local-global"):
+        code, out = run(scene, solver, f'dynamics.solver="{solver}"', *damped, "loads.drag=1.2")
+        assert code == 0
+        with read_result(out) as result:
+            ends.append(result.points())
+    assert np.abs(ends[0] - ends[1]).max() < 1e-6
+
+
+def test_it_fits_the_projective_model_alone(scene, capsys):
+    code, out = run(scene, "out", 'dynamics.solver="local-global"', 'shell.model="koiter"')
+    assert code == 2 and not out.exists()
+    said = capsys.readouterr().err
+    assert 'dynamics.solver: fits shell.model = "projective" only, which is "koiter" here' in said
+
+
+def test_twenty_iterations_are_a_prediction_that_says_how_far(scene):
+    code, out = run(
+        scene, "out", 'dynamics.solver="local-global"', "dynamics.iterations=5", "shell.young=1e6"
+    )
+    assert code == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["residual_norm"] > 1e-8 and summary["newton_iterations"] <= 5 * summary["steps"] + 5
