@@ -1,6 +1,7 @@
 """Dynamics scenes from the command line: results, history, resume, refusals."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -104,11 +105,29 @@ def test_a_killed_run_goes_on_with_the_same_numbers(scene, tmp_path):
     assert summaries[0]["steps"] == summaries[1]["steps"] == 600
 
 
+def test_a_run_killed_before_its_first_step_starts_again(scene, tmp_path):
+    out, short = tmp_path / "out", ["--set", "dynamics.duration=0.05"]
+    assert main(["run", str(scene), "-o", str(out), *short]) == 0
+    whole = read_summary(out / "summary.json")
+    first = tmp_path / "first"
+    shutil.copytree(out, first, ignore=shutil.ignore_patterns("restart", "history.h5"))
+    command = [sys.executable, "-m", "voile.cli", "run", str(scene), "-o", str(first), *short]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        while not (first / "restart" / "last").exists():
+            assert process.poll() is None
+            time.sleep(0.001)
+        os.kill(process.pid, signal.SIGKILL)
+    assert main(["run", str(scene), "-o", str(first), "--resume", *short]) == 0
+    assert read_summary(first / "summary.json")["steps"] == whole["steps"]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ("dynamics.time_step=0", "dynamics.time_step"),
         ("dynamics.duration=-1", "dynamics.duration"),
+        ("dynamics.time_step=1e-300", "dynamics.time_step"),
+        ("dynamics.duration=1e300", "dynamics.time_step"),
         ("obstacle.0.restitution=1.5", "obstacle.0.restitution"),
         ("obstacle.0.restitution=0.5", "moreau-jean"),
         ("dynamics.theta=0.4", "dynamics.theta"),
@@ -152,3 +171,22 @@ def test_resume_refuses_what_is_not_its_own(scene, tmp_path, capsys):
     assert "another scene" in capsys.readouterr().err and (out / "result.vtkhdf").read_bytes() == before
     assert main(["run", str(scene), "-o", str(out), "--resume"]) == 0  # it is at its end
     assert (out / "result.vtkhdf").read_bytes() == before
+
+
+def test_rest_waits_for_what_the_scene_still_does(scene, tmp_path):
+    out = tmp_path / "out"
+    later = ["--set", "loads.history=[[0,0],[0.1,0],[0.2,1]]", "--set", "dynamics.stop_at_rest=0.001"]
+    later += ["--set", "shell.velocity=[0,0,0]"]
+    assert main(["run", str(scene), "-o", str(out), *later, "--set", "dynamics.duration=0.3"]) == 0
+    assert read_summary(out / "summary.json")["dynamics"]["time"] >= 0.2
+
+
+def test_adaptive_steps_of_a_flat_landing(scene, tmp_path):
+    head, rest = scene.read_text().split("[[obstacle]]")
+    ground = (
+        '[[obstacle]]\nshape = "plane"\npoint = [0.0, 0.0, -0.01]\nnormal = [0.0, 0.0, 1.0]\nfriction = 0.4\n'
+    )
+    scene.write_text(head + ground + rest[rest.index("[dynamics]") :])
+    adaptive = ["--set", "dynamics.adaptive=true", "--set", "dynamics.accuracy=1e-6"]
+    assert main(["run", str(scene), "-o", str(tmp_path / "out"), *adaptive]) == 0
+    assert read_summary(tmp_path / "out" / "summary.json")["converged"]

@@ -1,5 +1,6 @@
 """Rigid motion of an obstacle or of a support, prescribed in time; statics take their load factor for the time."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,11 @@ class Motion:
     def moves(self) -> bool:
         """Whether the body is ever elsewhere than at t = 0."""
         return bool(np.any(self.displacement) or np.any(self.rotation))
+
+    @property
+    def ends(self) -> float:
+        """Time after which it stays where it is."""
+        return math.inf if self.moves else 0.0
 
     def share(self, t: float) -> float:
         """Of the motion, at time t."""
@@ -69,6 +75,10 @@ class Spell(Motion):
     begin: float = 0.0
     end: float
 
+    @property
+    def ends(self) -> float:
+        return self.end
+
     def share(self, t: float) -> float:
         return min(max((t - self.begin) / (self.end - self.begin), 0.0), 1.0)
 
@@ -83,6 +93,10 @@ class Track(Motion):
     @property
     def moves(self) -> bool:
         return bool(self.rows.any())
+
+    @property
+    def ends(self) -> float:
+        return float(self.times[-1])
 
     def shift(self, t: float) -> np.ndarray:
         return self._at(t)[:3]

@@ -77,6 +77,11 @@ class Obstacle:
         """Whether it is ever elsewhere than at t = 0."""
         return self.motion.moves
 
+    @property
+    def ends(self) -> float:
+        """Time after which it stays as it is."""
+        return self.motion.ends
+
     def way(
         self, points: np.ndarray, began: float, moved: np.ndarray, ended: float
     ) -> tuple[np.ndarray, np.ndarray]:

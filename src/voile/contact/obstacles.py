@@ -282,6 +282,11 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     def moves(self):
         return self.motion.moves or self.frames is not None
 
+    @property
+    def ends(self) -> float:
+        bends = self.frames.step * (len(self.frames.points) - 1) if self.frames else 0.0
+        return max(bends, self.motion.ends)
+
     def gap(self, points, t):
         return self.frames.distance(points, t) if self.frames else super().gap(points, t)
 

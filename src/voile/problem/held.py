@@ -22,6 +22,11 @@ class Supports:
         """Whether any does."""
         return any(motion.moves for _, motion in self.motions)
 
+    @property
+    def ends(self) -> float:
+        """Time after which none moves."""
+        return max((motion.ends for _, motion in self.motions), default=0.0)
+
     def between(self, start: float, end: float) -> np.ndarray:
         """(dofs,) prescribed displacement from time start to end (m)."""
         if start == end or not self.motions:

@@ -1,5 +1,6 @@
 """The law of a load in time; statics take their load factor for the time."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,6 +9,11 @@ import numpy as np
 @dataclass(frozen=True)
 class Load:
     """How much of a load acts at time t, of what the scene gives: in proportion to t. Another law overrides it."""
+
+    @property
+    def ends(self) -> float:
+        """Time after which it stays as it is."""
+        return math.inf
 
     def factor(self, t: float) -> float:
         return t
@@ -19,6 +25,10 @@ class History(Load):
 
     times: np.ndarray = field(default_factory=lambda: np.zeros(1))
     factors: np.ndarray = field(default_factory=lambda: np.ones(1))
+
+    @property
+    def ends(self) -> float:
+        return float(self.times[-1])
 
     def factor(self, t: float) -> float:
         return float(np.interp(t, self.times, self.factors))

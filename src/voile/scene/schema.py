@@ -57,6 +57,7 @@ THICKNESS = Number("m", above=0)
 YOUNG = Number("Pa", above=0)
 POISSON = Number(above=-1, below=0.5)
 DENSITY = Number("kg/m^3", above=0)
+MOST_STEPS = 1e9  # of a run in time: years of computing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,6 +234,11 @@ class Scene:
             raise Rejected(
                 'allowed above 0 with task = dynamics and dynamics.scheme = "moreau-jean" only',
                 ("obstacle", rebounds[0], "restitution"),
+            )
+        if self.dynamics.duration > MOST_STEPS * self.dynamics.time_step:
+            raise Rejected(
+                f"allowed: at least {self.dynamics.duration / MOST_STEPS:g} s, a run has {MOST_STEPS:g} steps at most",
+                ("dynamics", "time_step"),
             )
         local = self.scene.task == "dynamics" and self.dynamics.solver == "local-global"
         if local and self.shell.model != "projective":

@@ -46,7 +46,7 @@ class Dynamics:
         "time scheme",
         default="implicit-euler",
     )
-    time_step: float = key(Number("s", above=0), "time step; adaptive: the longest", default=0.01)
+    time_step: float = key(Number("s", least=1e-12), "time step; adaptive: the longest", default=0.01)
     duration: float = key(Number("s", above=0), "simulated time", default=1.0)
     solver: str = key(
         Choice("newton", "local-global"),

@@ -44,7 +44,7 @@ class TimeSteps:
     def __init__(self, job: Run, problem: Problem, writer: ResultWriter, path: TimePath, duration: float):
         self.job, self.problem, self.writer, self.duration = job, problem, writer, duration
         self.written, kept = path.time if job.resumes else -1.0, {}
-        if job.resumes and job.comm.rank == 0:
+        if job.resumes and path.count and job.comm.rank == 0:  # before the first step there is no history
             kept = {name: rows[: path.count] for name, rows in read_history(job.folder).items()}
         self.history = HistoryWriter(job.folder / "history.h5", job.comm, kept)
         self.due = time.perf_counter() + self.PAUSE

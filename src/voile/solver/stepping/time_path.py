@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_report
@@ -155,6 +156,10 @@ class Stepper:
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
+        laws: list = [*problem.shell.load_laws.values()] if problem.shell else []
+        laws += problem.contact.obstacles if problem.contact else []
+        own = max([problem.part.supports.ends, *(law.ends for law in laws)])
+        self.changes = problem.comm.allreduce(own, op=MPI.MAX)  # s until which what is prescribed does
         self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
 
     def follow(self, on_step: OnStep | None = None) -> None:
@@ -197,9 +202,9 @@ class Stepper:
 
     def _rests(self, done: TimeStep) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
-        size."""
+        size, or as the scene goes on."""
         limit, problem = self.asked.stop_at_rest, self.problem
-        if not done.speed < limit:
+        if not done.speed < limit or done.time < self.changes:
             return False
         acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
         return acceleration < limit * float(np.sqrt(slow_rate(problem)))
@@ -272,7 +277,7 @@ class Stepper:
         if asked.scheme.order == 2:
             smooth = h**2 / 12.0 * (p.acceleration(x) - k.acceleration)
             jump = np.where(np.broadcast_to(p.rate, x.shape) == 1.0 / h, jump, smooth)
-        error = problem.in_sizes(jump[problem.own]) / asked.accuracy
+        error = max(problem.in_sizes(jump[problem.own]) / asked.accuracy, float(np.finfo(float).tiny))
         options = self.options
         self.wish = h * min(
             max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
