@@ -35,20 +35,41 @@ void LocalContacts::project(int c, const double p[3], double rho, double r[3]) c
   for (int a = 0; a < 3; ++a) r[a] = pressed * n[a] + share * trial[a];
 }
 
-double LocalContacts::sweep(double* x, const double* inertia) {
+void Stiffness::relax(int u, const double* force, double* way) const {
+  double rest = force[u];
+  for (int k = start[u]; k < start[u + 1]; ++k) rest -= value[k] * way[column[k]];
+  way[u] += rest / diagonal[u];
+}
+
+double LocalContacts::sweep(const double* x, const Stiffness& matrix, double* force, double* way) {
   double changed = 0.0;
   for (int c = 0; c < count(); ++c) {
     double p[3], r[3], soft = 0.0;  // m/N: motion by a reaction
-    for (int s = MOST * c; s < MOST * (c + 1); ++s) soft += weight[s] * weight[s] / inertia[vertex[s]];
     place(c, x, p);
+    for (int s = MOST * c; s < MOST * (c + 1); ++s) {
+      if (weight[s] == 0.0) continue;
+      double firmest = 0.0;
+      for (int a = 0; a < 3; ++a) {
+        const int u = matrix.unknown[3 * vertex[s] + a];
+        if (u < 0) continue;
+        matrix.relax(u, force, way);
+        p[a] += weight[s] * way[u];
+        firmest = std::max(firmest, matrix.diagonal[u]);
+      }
+      if (firmest > 0.0) soft += weight[s] * weight[s] / firmest;
+    }
     project(c, p, 1.0 / soft, r);
     for (int a = 0; a < 3; ++a) {
       const double change = r[a] - reaction[3 * c + a];
       if (change == 0.0) continue;
       reaction[3 * c + a] = r[a];
       changed += change * change;
-      for (int s = MOST * c; s < MOST * (c + 1); ++s)
-        x[3 * vertex[s] + a] += weight[s] / inertia[vertex[s]] * change;
+      for (int s = MOST * c; s < MOST * (c + 1); ++s) {
+        const int u = matrix.unknown[3 * vertex[s] + a];
+        if (weight[s] == 0.0 || u < 0) continue;
+        force[u] += weight[s] * change;
+        way[u] += weight[s] * change / matrix.diagonal[u];
+      }
     }
   }
   return changed;

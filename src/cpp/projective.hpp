@@ -7,6 +7,16 @@
 
 namespace voile {
 
+// A constant matrix of unknowns by rows, N/m; unknown (3n): of each vertex and axis, -1 where there is none.
+struct Stiffness {
+  std::vector<int32_t> start, column;
+  std::vector<double> value, diagonal;
+  std::vector<int32_t> unknown;
+
+  // Moves unknown u to where its row of matrix way = force holds.
+  void relax(int u, const double* force, double* way) const;
+};
+
 // Linearised: with p the weighted sum of its vertices' positions, its gap is gap + normal.(p - anchor), its
 // slip the tangential part of p - start. In the order in which they are solved.
 struct LocalContacts {
@@ -22,10 +32,11 @@ struct LocalContacts {
 
   int count() const { return (int)gap.size(); }
 
-  // One pass of Gauss-Seidel over the contacts: each reaction becomes the one with which its vertices, moved
-  // by it over their inertia (N/m), obey Signorini's and Coulomb's laws; x (3n) m moves along. Returns the
-  // sum of squares of the reactions' changes.
-  double sweep(double* x, const double* inertia);
+  // One pass of Gauss-Seidel over the contacts: the unknowns of each relax one after the other, then its
+  // reaction becomes the one with which they obey Signorini's and Coulomb's laws, at positions x (3n) m
+  // moved by the way (m) of the unknowns. force (N), the unknowns', takes the changes of the reactions up.
+  // Returns the sum of squares of these changes.
+  double sweep(const double* x, const Stiffness& matrix, double* force, double* way);
   // Adds the reactions to the vertices' forces (3n) N.
   void spread(double* force) const;
   // Sum of squares of what the reactions miss of those that the laws project on, at positions x, for the

@@ -65,6 +65,18 @@ NB_MODULE(_projective, m) {
         self.combine(sized(share, self.kept(), "share"), sized(out, self.length(), "out"));
       });
 
+  nb::class_<Stiffness>(m, "Stiffness")
+      .def(
+          "__init__",
+          [](Stiffness* self, In<int32_t> start, In<int32_t> column, In<double> value, In<double> diagonal,
+             In<int32_t> unknown) {
+            new (self)
+                Stiffness{copied(start, diagonal.size() + 1, "start"), copied(column, value.size(), "column"),
+                          copied(value, value.size(), "value"), copied(diagonal, diagonal.size(), "diagonal"),
+                          copied(unknown, unknown.size(), "unknown")};
+          },
+          "start"_a, "column"_a, "value"_a, "diagonal"_a, "unknown"_a);
+
   nb::class_<LocalContacts>(m, "LocalContacts")
       .def(
           "__init__",
@@ -79,10 +91,12 @@ NB_MODULE(_projective, m) {
           "vertex"_a, "weight"_a, "gap"_a, "normal"_a, "anchor"_a, "start"_a, "friction"_a, "reaction"_a)
       .def(
           "sweep",
-          [](LocalContacts& self, Out<double> x, In<double> inertia) {
-            return self.sweep(sized(x, 3 * inertia.size(), "x"), inertia.data());
+          [](LocalContacts& self, In<double> x, const Stiffness& matrix, Out<double> force, Out<double> way) {
+            const size_t size = matrix.diagonal.size();
+            return self.sweep(sized(x, matrix.unknown.size(), "x"), matrix, sized(force, size, "force"),
+                              sized(way, size, "way"));
           },
-          "x"_a, "inertia"_a)
+          "x"_a, "matrix"_a, "force"_a, "way"_a)
       .def(
           "spread", [](const LocalContacts& self, Out<double> force) { self.spread(force.data()); },
           "force"_a)

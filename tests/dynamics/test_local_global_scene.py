@@ -9,6 +9,7 @@ from test_problem import sheet
 from voile.cli import main
 from voile.mesh.obj import write_obj
 from voile.results import read_result
+from voile.results.history import read_history
 
 SCENE = """
 [scene]
@@ -89,3 +90,15 @@ def test_twenty_iterations_are_a_prediction_that_says_how_far(scene):
     assert code == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["residual_norm"] > 1e-8 and summary["newton_iterations"] <= 5 * summary["steps"] + 5
+
+
+def test_twenty_iterations_give_a_landing_sheet_no_energy(scene):
+    """Of everyday stiffness, E h some tens of a vertex's inertia over the step. Measured: the books miss 0.004 J,
+    and 0.064 J with inertia alone as what contacts feel."""
+    chosen = ("dynamics.iterations=20", "dynamics.duration=0.8", "shell.young=2e5")
+    code, out = run(scene, "out", 'dynamics.solver="local-global"', *chosen)
+    assert code == 0
+    rows = read_history(out)
+    assert np.hypot(rows["balance_residual"], rows["law_residual"]) == pytest.approx(rows["residual"])
+    assert np.abs(rows["balance_error"]).max() < 0.01
+    assert rows["kinetic"][-1] < 0.03 * rows["kinetic"].max()

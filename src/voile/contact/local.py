@@ -1,6 +1,7 @@
 """Contacts as Projective Dynamics with dry friction solves them: linearised at a shape, each for itself.
 
-Ly, Jouve, Boissieux & Bertails-Descoubes 2020 freeze everything but the masses of a contact's vertices. Contacts are
+Ly, Jouve, Boissieux & Bertails-Descoubes 2020 freeze everything but the masses of a contact's vertices; here their
+elasticity has a share in it (solver/sweeps.py), for stiff shells answer a reaction with far less motion. Contacts are
 solved one after the other in levels: first those with obstacles, then layers outward from there. Gaps are in the laws,
 so that a shell lands on what it touches.
 """
@@ -16,10 +17,8 @@ from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import within
 
 MOST = 4  # vertices of a contact
-SWEEPS, SETTLED = (
-    10,
-    0.05,
-)  # passes over contacts that share vertices, and the last one's change over the first's
+SWEEPS, SHARED = 4, 10  # passes at most, and where contacts share vertices
+SETTLED = 0.05  # change of a pass over the first's, that ends them
 
 
 @dataclass
@@ -51,11 +50,11 @@ class _Linearised:
 class LocalLaws:
     """Contacts that the n vertices of a shell may have near positions x (n, 3) m at time t: those `reach` (n,) m from
     an obstacle, and its layers' candidates, whose distances are linearised at anchor (n, 3) m, on the near side of all
-    layers. inertia (n,) N/m moves with the vertices."""
+    layers."""
 
-    def __init__(self, contact: NaturalMap, inertia: np.ndarray, t: float):
+    def __init__(self, contact: NaturalMap, n: int, t: float):
         self.contact, self.t = contact, t
-        self.inertia = self._gather(inertia)
+        self.count = len(self._gather(np.zeros(n)))
         # To each obstacle, and at which positions.
         self.gaps: list[tuple[np.ndarray, np.ndarray]] = []
         self.found: _Linearised | None = None
@@ -153,7 +152,7 @@ class LocalLaws:
         """(c,) 0 with obstacles, of layers one more than the contacts that they meet nearer to an obstacle."""
         layered = found.partner == len(self.contact.obstacles)
         level = np.where(layered, len(layered), 0)
-        reached = np.zeros(len(self.inertia), dtype=bool)
+        reached = np.zeros(self.count, dtype=bool)
         reached[found.vertex[~layered, 0]] = True
         for now in range(1, len(layered) + 1):
             touched = (reached[found.vertex] & (found.weight != 0.0)).any(axis=1)
@@ -166,20 +165,19 @@ class LocalLaws:
 
     # ---- an iteration ----
 
-    def sweep(self, x: np.ndarray) -> np.ndarray:
-        """The reactions that carry vertices from where inertia alone leads them, positions x (n, 3) m with the present
-        reactions, to where the laws hold; (n, 3) N, what the shell's forces have changed by."""
-        before, moved = self.force(), np.array(self._gather(x))
-        first = self.laws.sweep(moved, self.inertia)
-        # One pass is exact where no vertex has two contacts.
-        for _ in range(SWEEPS - 1 if self._shared else 0):
-            if self.laws.sweep(moved, self.inertia) <= SETTLED**2 * first:
+    def sweep(self, x: np.ndarray, resistance: _projective.Stiffness, force: np.ndarray) -> np.ndarray:
+        """New reactions at positions x (n, 3) m: with them vertices that `force` (unknowns,) N moves against the
+        `resistance` obey the laws; (n, 3) N, what the shell's forces have changed by."""
+        before, wide, way = self.force(), np.ascontiguousarray(self._gather(x)), np.zeros_like(force)
+        first = self.laws.sweep(wide, resistance, force, way)
+        for _ in range((SHARED if self._shared else SWEEPS) - 1):
+            if self.laws.sweep(wide, resistance, force, way) <= SETTLED**2 * first:
                 break
         return self.force() - before
 
     def force(self) -> np.ndarray:
         """(n, 3) reactions on the shell (N)."""
-        total = np.zeros((len(self.inertia), 3))
+        total = np.zeros((self.count, 3))
         self.laws.spread(total)
         return self.contact.itself.restrict(total) if self.contact.itself else total
 
@@ -201,7 +199,7 @@ class LocalLaws:
             rows = found.partner == k
             values = np.column_stack([normal[rows] / found.length[rows], friction[rows]])
             if contact.itself and k < len(contact.obstacles):
-                total = np.zeros((len(self.inertia), 4))
+                total = np.zeros((self.count, 4))
                 total[found.row[rows]] = values
                 contact.history.normal[k], contact.history.friction[k] = np.split(
                     contact.itself.restrict(total), [1], axis=1

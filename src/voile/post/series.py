@@ -18,6 +18,8 @@ UNITS = {
     "angular_momentum": "kg m^2/s",
     "speed": "m/s",
     "residual": "N",
+    "balance_residual": "N",
+    "law_residual": "N",
     "tolerance": "N",
     "max_penetration": "m",
     "max_displacement": "m",

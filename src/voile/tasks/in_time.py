@@ -102,6 +102,8 @@ def row(problem: Problem, step: TimeStep, path: TimePath) -> dict:
         "angular_momentum": angular,
         "speed": step.speed,
         "residual": step.residual,
+        "balance_residual": step.balance_residual,
+        "law_residual": step.law_residual,
         "tolerance": step.tolerance,
         "iterations": step.iterations,
         "factorisations": path.counts.factorisations,

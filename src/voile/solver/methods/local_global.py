@@ -3,8 +3,8 @@
 An implicit step x minimises c/2 |x - predicted|^2_M + E(x) under contact's laws. Elements project their deformation on
 what is free of energy (local); the positions come from a constant matrix A = c M + K (global), factored once per run.
 With the forces F of all terms that is x <- x + A^-1 (F(x) + r), for K is the energies' Hessian with projections held.
-Reactions r are estimated contact by contact: vertices go where inertia alone leads them, x + (F + r)/(c M), and the
-laws cut that motion. A fixed point obeys balance and laws exactly; stopped before, it is a prediction.
+Reactions r are estimated in Gauss-Seidel sweeps: the vertices of a contact go where inertia and a share of K lead
+them, and the laws cut that motion. A fixed point obeys balance and laws exactly; stopped before, it is a prediction.
 """
 
 from dataclasses import dataclass
@@ -22,6 +22,7 @@ from voile.solver.anderson import Anderson
 from voile.solver.constant import ConstantMatrix
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
+from voile.solver.sweeps import Resistance
 
 SIZES = 2  # of time steps whose factors are kept
 
@@ -50,7 +51,7 @@ class LocalGlobal:
         self.options, self.counts = options or Options(), Counts()
         self.blocks = constant_blocks(problem.part)
         self.norms: list[tuple[float, float]] = []
-        self._matrices: dict[tuple[float, float], ConstantMatrix] = {}
+        self._matrices: dict[tuple[float, float], tuple[ConstantMatrix, Resistance | None]] = {}
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
@@ -71,15 +72,16 @@ class LocalGlobal:
         reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
         return Outcome(True, self.name, reason, norm=step.norm)
 
-    def matrix(self, problem: Problem, coefficient: float) -> ConstantMatrix:
-        """A for an inertia of `coefficient` (1/s^2)."""
+    def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, Resistance | None]:
+        """A for an inertia of `coefficient` (1/s^2), and what contacts take for it."""
         key = coefficient, problem.elastic.stiffness
         if key not in self._matrices:
             matrix = problem.create_matrix()
             inertia = mass_blocks(problem.vertex_mass(), coefficient)
             problem.assemble(matrix, problem.elastic.stiffness * self.blocks, [inertia])
             kept = list(self._matrices.items())[1 - SIZES :]
-            self._matrices = dict(kept) | {key: ConstantMatrix(problem, matrix, self.counts)}
+            resistance = Resistance(problem, matrix, coefficient) if problem.contact else None
+            self._matrices = dict(kept) | {key: (ConstantMatrix(problem, matrix, self.counts), resistance)}
         return self._matrices[key]
 
 
@@ -95,18 +97,16 @@ class _Step:
             (t.coefficient * mass for t in problem.terms if isinstance(t, Inertia)), np.zeros((len(mass), 3))
         )
         most = float(np.max(stiffness / np.maximum(mass, 1e-300), initial=0.0))
-        self.matrix = method.matrix(problem, problem.comm.allreduce(most, op=MPI.MAX))
-        dofs = np.zeros(problem.part.matrix.shape[0])
-        dofs[: stiffness.size] = stiffness.ravel()
-        self.inertia = problem.layout.diagonal(dofs)
+        self.matrix, resistance = method.matrix(problem, problem.comm.allreduce(most, op=MPI.MAX))
         self.force, self.direction = problem.create_vector(), problem.create_vector()
         self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
         self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
         self.norms, self.fresh = (np.inf, 0.0), False
         self.laws: LocalLaws | None = None
-        if problem.contact:
+        if problem.contact and resistance:
+            self.resistance = resistance
             self.start = self.anchor = problem.contact.history.reference
-            self.laws = LocalLaws(problem.contact, stiffness.max(axis=1), problem.time)
+            self.laws = LocalLaws(problem.contact, len(mass), problem.time)
 
     @property
     def norm(self) -> float:
@@ -143,8 +143,7 @@ class _Step:
         """One iteration from y, where `force` has been measured."""
         problem, force, direction = self.problem, self.force, self.direction
         if self.laws is not None:
-            direction.array[:] = force.array_r / self.inertia
-            change = self.laws.sweep(self.x + problem.motion(direction))
+            change = self.laws.sweep(self.x, self.resistance.stiffness, self.resistance.gather(force))
             self._spread[: change.size] = change.ravel()
             force.array[:] += problem.layout.collect(self._spread)
         self.matrix.solve(force, direction)

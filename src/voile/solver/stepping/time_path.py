@@ -78,18 +78,25 @@ class StepSolver(Protocol):
 
 @dataclass
 class TimeStep:
-    """One step: its end `time` and length (s), iterations, the residual's norm and its tolerance (N), potential
-    energies (J), contact's figures, method, and the largest speed (m/s) of a vertex at its end."""
+    """One step: its end `time` and length (s), iterations, norms of forces out of balance and of what contact's laws
+    miss (N), the tolerance of both together (N), potential energies (J), contact's figures, method, and the largest
+    speed (m/s) of a vertex at its end."""
 
     time: float
     length: float
     iterations: int
-    residual: float
+    balance_residual: float
+    law_residual: float
     tolerance: float
     energies: dict[str, float]
     contact: dict | None
     method: str
     speed: float
+
+    @property
+    def residual(self) -> float:
+        """Of balance and laws together (N)."""
+        return float(np.hypot(self.balance_residual, self.law_residual))
 
 
 @dataclass
@@ -232,7 +239,7 @@ class Stepper:
         self._guess(problem, scheme.predict(k, h))
         with problem.elastic.stiffened(1.0 + self.damping.stiffness / h):
             prediction, step, wanted, outcome = self._solve(problem, scheme, h, stress)
-            residual = _residual(step, y, wanted) if outcome.converged else np.inf
+            residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
@@ -255,7 +262,7 @@ class Stepper:
             problem.time,
             h,
             self.solver.counts.iterations - before,
-            residual,
+            *residuals,
             wanted,
             problem.energies(y),
             contact_report(problem, y) if problem.contact else None,
@@ -377,10 +384,10 @@ def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
     return np.divide(force, mass, out=np.zeros_like(force), where=mass > 0.0)
 
 
-def _residual(problem: Problem, y: PETSc.Vec, tolerance: float) -> float:
-    """Norm (N) of a step's residual, with contact also of what the laws miss."""
+def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:
+    """Norms (N) of a step's forces out of balance and of what contact's laws miss."""
     f = problem.create_vector()
     if problem.contact:
-        return float(np.hypot(*law_norms(problem, y, f, tolerance)))
+        return law_norms(problem, y, f, tolerance)
     problem.residual(y, f)
-    return float(f.norm())
+    return float(f.norm()), 0.0
