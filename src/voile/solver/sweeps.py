@@ -1,6 +1,7 @@
 """What contacts of Projective Dynamics take the shell's resistance for in their sweeps."""
 
 import numpy as np
+import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile import _projective
@@ -28,9 +29,14 @@ class Resistance:
         part.scale(SHARE)
         part.setDiagonal(PETSc.Vec().createWithArray(self.gather(inertia)), addv=PETSc.InsertMode.ADD_VALUES)
         start, column, value = part.getValuesCSR()
-        diagonal = part.getDiagonal().array
+        sparse = sp.csr_matrix((value, column, start), shape=part.getSize())
+        sparse.eliminate_zeros()  # axes are not coupled
         self.stiffness = _projective.Stiffness(
-            start.astype(np.int32), column.astype(np.int32), value, diagonal, unknown.astype(np.int32)
+            sparse.indptr.astype(np.int32),
+            sparse.indices.astype(np.int32),
+            sparse.data,
+            sparse.diagonal(),
+            unknown.astype(np.int32),
         )
 
     def gather(self, force: PETSc.Vec) -> np.ndarray:
