@@ -65,6 +65,18 @@ def test_a_scene_moves_as_with_newtons_method(scene, scheme):
     assert np.abs(ends[0] - ends[1]).max() < 1e-5
 
 
+def test_steps_that_miss_their_tolerance_are_told(scene):
+    notes = []
+    for iterations in (2, 1000):
+        code, out = run(
+            scene, f"of-{iterations}", 'dynamics.solver="local-global"', f"dynamics.iterations={iterations}"
+        )
+        assert code == 0
+        told = json.loads((out / "summary.json").read_text())["notes"]
+        notes.append([note for note in told if "above their tolerance" in note])
+    assert len(notes[0]) == 1 and "dynamics.iterations = 2;" in notes[0][0] and not notes[1]
+
+
 def test_damping_and_wind_are_in_the_iteration(scene):
     ends = []
     damped = ("dynamics.damping.mass=2.0", "dynamics.damping.stiffness=0.002", "loads.wind=[2.0,0.0,1.0]")

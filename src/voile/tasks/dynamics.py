@@ -33,6 +33,11 @@ def run(job: Run) -> str:
         steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)
+    if d.solver == "local-global" and steps.short:
+        job.note(
+            f"{steps.short} steps end with a residual above their tolerance, by up to {steps.worst:.1e} times "
+            f"(dynamics.iterations = {d.iterations}; history.h5: residual)"
+        )
     job.summarise(problem, path, dynamics=figures(problem, path))
     return "" if path.converged else path.reason
 
