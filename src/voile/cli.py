@@ -139,10 +139,15 @@ def _info(args: argparse.Namespace) -> None:
     print(info(args.file))
 
 
+def _folder(result: Path) -> Path:
+    """That of a result, which may be given by its file."""
+    return result if result.is_dir() else result.parent
+
+
 def _render(args: argparse.Namespace) -> None:
     from voile.post import render
 
-    folder = args.file if args.file.is_dir() else args.file.parent
+    folder = _folder(args.file)
     out = args.output or folder / f"{args.field}.png"
     render(args.file, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
     print(out)
@@ -155,7 +160,7 @@ def _animate(args: argparse.Namespace) -> None:
         if sys.stderr.isatty():
             print(f"\r\033[Kframe {frame} of {count}", end="", file=sys.stderr, flush=True)
 
-    folder = args.file if args.file.is_dir() else args.file.parent
+    folder = _folder(args.file)
     film = animate(
         args.file,
         args.output or folder / "film.mp4",
@@ -175,7 +180,7 @@ def _animate(args: argparse.Namespace) -> None:
 def _plot(args: argparse.Namespace) -> None:
     from voile.post.plot import plot
 
-    folder = args.file if args.file.is_dir() else args.file.parent
+    folder = _folder(args.file)
     names = args.quantity or ["energies"]
     default = folder / ("-".join(names).replace(":", "-") + ".png")
     print(plot(args.file, args.output or default, names))
@@ -184,7 +189,7 @@ def _plot(args: argparse.Namespace) -> None:
 def _export(args: argparse.Namespace) -> None:
     from voile.post.export import PATTERNS, export
 
-    folder = args.file if args.file.is_dir() else args.file.parent
+    folder = _folder(args.file)
     name = "pattern" if f".{args.to}" in PATTERNS else "shape"
     print(export(args.file, args.output or folder / f"{name}.{args.to}", args.step))
 

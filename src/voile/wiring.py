@@ -297,10 +297,10 @@ def _check_frames(scene: Scene, k: int, body: Obstacle) -> None:
     frames = getattr(body, "frames", None)
     if frames is None:
         return
-    lasts, duration = (len(frames.points) - 1) * frames.step, scene.dynamics.duration
-    if lasts < duration * (1.0 - 1e-9):
+    duration = scene.dynamics.duration
+    if frames.lasts < duration * (1.0 - 1e-9):
         raise InputError(
-            f"{scene.path}: obstacle.{k}.frames: {len(frames.points)} frames last to {lasts:g} s; allowed: to "
+            f"{scene.path}: obstacle.{k}.frames: {len(frames.points)} frames last to {frames.lasts:g} s; allowed: to "
             f"dynamics.duration = {duration:g} s at least"
         )
 

@@ -18,19 +18,6 @@ from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, Time
 STEADY = dict.fromkeys(LOADS, History())
 
 
-def sheet(nx: int, ny: int, length: float = 1.0, width: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """A rectangle in z = 0 with alternating diagonals."""
-    x, y = np.meshgrid(np.linspace(0, length, nx + 1), np.linspace(0, width, ny + 1), indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    triangles = []
-    for i in range(nx):
-        for j in range(ny):
-            a = i * (ny + 1) + j
-            b, c, d = a + ny + 1, a + ny + 2, a + 1
-            triangles += [[a, b, c], [a, c, d]] if (i + j) % 2 else [[a, b, d], [b, c, d]]
-    return points, np.array(triangles, dtype=np.int32)
-
-
 def cloth(points: np.ndarray, triangles: np.ndarray, held: np.ndarray | None = None, **given) -> Shell:
     """A shell of 1 mm, 1 MPa, 300 kg/m^3 in steady gravity along -z, unless given otherwise; held (n,): vertices that
     are clamped."""

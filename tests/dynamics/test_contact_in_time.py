@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from moving import Recorded, cloth, move, sheet
+from moving import Recorded, cloth, move
 from scipy.spatial.transform import Rotation
+from test_problem import sheet
 
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Plane, Sphere

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from moving import cloth, move, sheet
+from moving import cloth, move
+from test_problem import sheet
 from test_runs_in_time import SCENE, scene
 
 from voile.cli import main

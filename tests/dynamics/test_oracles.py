@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from moving import cloth, move, sheet
+from moving import cloth, move
 from mpi4py import MPI
 from petsc4py import PETSc
+from test_problem import sheet
 
 from voile.problem.problem import Problem
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from moving import STEADY, cloth, move, sheet
+from moving import STEADY, cloth, move
+from test_problem import sheet
 
 from voile.contact.motion import Spell, Track
 from voile.contact.obstacles import Plane

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from moving import sheet
+from test_problem import sheet
 
 from voile.cli import main
 from voile.results import read_result, read_summary

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from moving import cloth, move, sheet
+from moving import cloth, move
 from test_contact_in_time import on_slope
+from test_problem import sheet
 
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Box, Plane, Sphere

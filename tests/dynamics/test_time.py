@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from moving import cloth, move, sheet
+from moving import cloth, move
+from test_problem import sheet
 
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
 

@@ -8,7 +8,8 @@ import pytest
 from mpi4py import MPI
 
 sys.path.append(str(Path(__file__).parents[1] / "dynamics"))
-from moving import Recorded, cloth, move, sheet
+from moving import Recorded, cloth, move
+from test_problem import sheet
 
 from voile.contact.obstacles import Plane
 from voile.problem.contact import shell_layers, with_obstacles

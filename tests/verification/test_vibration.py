@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "dynamics"))
-from moving import cloth, move, sheet
+from moving import cloth, move
+from test_problem import sheet
 
 from voile.solver.stepping.schemes import SchemeOptions
 

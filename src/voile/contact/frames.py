@@ -24,6 +24,11 @@ class Frames:
     source: str
     _fields: dict[int, DistanceField] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def lasts(self) -> float:
+        """Time of the last frame (s)."""
+        return (len(self.points) - 1) * self.step
+
     def between(self, t: float) -> tuple[int, float]:
         """The frame before a time, and the share of the way to the next one."""
         last = len(self.points) - 1

@@ -198,15 +198,8 @@ class LocalLaws:
         for k in range(len(contact.partners)):
             rows = found.partner == k
             values = np.column_stack([normal[rows] / found.length[rows], friction[rows]])
-            if contact.itself and k < len(contact.obstacles):
-                total = np.zeros((self.count, 4))
-                total[found.row[rows]] = values
-                contact.history.normal[k], contact.history.friction[k] = np.split(
-                    contact.itself.restrict(total), [1], axis=1
-                )
-                contact.history.normal[k] = contact.history.normal[k].ravel()
-            else:
-                contact.history.normal[k] = np.zeros_like(contact.history.normal[k])
-                contact.history.friction[k] = np.zeros_like(contact.history.friction[k])
-                contact.history.normal[k][found.row[rows]] = values[:, 0]
-                contact.history.friction[k][found.row[rows]] = values[:, 1:]
+            gathered = contact.itself if k < len(contact.obstacles) else None
+            total = np.zeros((self.count if gathered else len(contact.history.normal[k]), 4))
+            total[found.row[rows]] = values
+            total = gathered.restrict(total) if gathered else total
+            contact.history.normal[k], contact.history.friction[k] = total[:, 0].copy(), total[:, 1:].copy()

@@ -284,8 +284,7 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
 
     @property
     def ends(self) -> float:
-        bends = self.frames.step * (len(self.frames.points) - 1) if self.frames else 0.0
-        return max(bends, self.motion.ends)
+        return max(self.frames.lasts if self.frames else 0.0, self.motion.ends)
 
     def gap(self, points, t):
         return self.frames.distance(points, t) if self.frames else super().gap(points, t)
