@@ -1,4 +1,4 @@
-"""From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by cli only."""
+"""From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by the commands only."""
 
 from dataclasses import dataclass
 from pathlib import Path

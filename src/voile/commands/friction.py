@@ -1,0 +1,48 @@
+"""`voile friction`: discrete frictional contact problems."""
+
+import argparse
+import time
+from pathlib import Path
+
+from voile.errors import InputError, NotConverged
+
+TEXT = "one discrete frictional contact problem, FCLIB local form"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    parser.add_argument("problem", type=Path)
+    parser.add_argument("-o", "--output", type=Path, help="HDF5 file for the solution")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Solves the problem, prints figures, writes the solution. Raises NotConverged."""
+    from voile.contact.law import contact_states
+    from voile.results.friction import prepare_solution, read_problem, write_solution
+    from voile.solver.friction import FrictionNotConverged, solve_friction
+
+    problem = read_problem(args.problem)
+    W, q, mu = problem
+    if args.output:
+        prepare_solution(args.output)
+    failure = None
+    began = time.perf_counter()
+    try:
+        r, info = solve_friction(W, q, mu)
+    except FrictionNotConverged as error:
+        failure, r, info = error, error.reaction, error.info
+    except InputError as error:
+        raise InputError(f"{args.problem}: {error}") from error
+    milliseconds = 1e3 * (time.perf_counter() - began)
+    states = contact_states(W, q, mu, r)
+    if args.output:
+        write_solution(args.output, args.problem, problem, r, states, info, converged=failure is None)
+    print(
+        f"{args.problem}: {len(mu)} contacts, error {info.error:.2e}, {info.method}\n"
+        f"{info.iterations} iterations, {info.factorisations} factorisations, {info.proximal_steps} proximal steps, "
+        f"{milliseconds:.1f} ms\n"
+        + ", ".join(f"{(states == k).sum()} {name}" for k, name in enumerate(("open", "stick", "slip")))
+    )
+    if failure:
+        kept = f"; the best reactions are kept in {args.output}" if args.output else ""
+        raise NotConverged(f"{args.problem}: {failure}{kept}")

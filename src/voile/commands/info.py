@@ -1,0 +1,18 @@
+"""`voile info`: figures of a result."""
+
+import argparse
+from pathlib import Path
+
+TEXT = "figures of a result"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    parser.add_argument("file", type=Path)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Prints the figures."""
+    from voile.post import info
+
+    print(info(args.file))

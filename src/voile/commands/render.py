@@ -1,0 +1,33 @@
+"""`voile render`: a picture of a result."""
+
+import argparse
+from pathlib import Path
+
+from voile.commands._result import folder
+
+TEXT = "a PNG picture of a result"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    parser.add_argument("file", type=Path)
+    parser.add_argument("-o", "--output", type=Path, help="default: FIELD.png beside the result")
+    parser.add_argument(
+        "--field",
+        default="strain",
+        help="colours: displacement, strain, curvature or a stored field (contact, gap, margin, reaction)",
+    )
+    parser.add_argument("--step", type=int, default=-1)
+    parser.add_argument(
+        "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
+    )
+    parser.add_argument("--view", help="front, back, left, right, top, oblique")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Draws, and prints the picture's name."""
+    from voile.post import render
+
+    out = args.output or folder(args.file) / f"{args.field}.png"
+    render(args.file, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
+    print(out)
