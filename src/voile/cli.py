@@ -5,19 +5,16 @@ import os
 import sys
 import traceback
 
-if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.environ):
-    # Without a launcher Open MPI need not start a daemon and look for networks, which takes 0.3 s.
-    os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
-    os.environ.setdefault("OMPI_MCA_pml", "ob1")
-
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged
+from voile.launch import without_launcher
 
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs a command; returns 0 done, 2 bad input, 3 not converged, 1 anything else."""
+    without_launcher()
     argv = list(sys.argv[1:] if argv is None else argv)
     split = argv.index("--") if "--" in argv else len(argv)
     args = _parser().parse_args(argv[:split])

@@ -19,6 +19,15 @@ class NotConverged(RuntimeError):
 
     exit_code = 3
 
+    def __init__(self, message: str, result: Any = None):
+        """result: what was computed, a voile.api.Result, of runs from Python."""
+        super().__init__(message)
+        self.result = result
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal told a command to end."""
+
 
 class Hinged(NotConverged):
     """Parts (joints, all vertices) of a target that turn freely about the one or two vertices that they hang by."""

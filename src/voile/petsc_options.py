@@ -1,9 +1,11 @@
 """PETSc's options as a user gives them (after `--`, in PETSC_OPTIONS or ~/.petscrc), and those that nothing used."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 
 from voile.errors import InputError
+from voile.launch import without_launcher
 
 # What PETSc itself asks for only when it ends.
 READ_LAST = {
@@ -25,17 +27,48 @@ READ_LAST = {
 _given: set[str] = set()
 
 
-def start_petsc(arguments: Sequence[str]) -> None:
-    """Starts PETSc with a user's options."""
+def start_petsc(arguments: Sequence[str] = ()) -> None:
+    """Starts PETSc with a user's options, unless it runs already."""
+    without_launcher()
     import petsc4py
 
     petsc4py.init(["voile", *arguments])
     from petsc4py import PETSc
 
+    if not PETSc.Options().hasName(
+        "options_left"
+    ):  # newer PETSc would say at its end what `unused_options` says
+        PETSc.Options().setValue("options_left", "no")
+
+
+@contextmanager
+def options_of_run(more: Sequence[str]) -> Iterator[None]:
+    """The user's options, `more` words and all there are already, while a run goes; solvers add defaults of their own.
+    Afterwards PETSc's database is as before."""
+    from petsc4py import PETSc
+
     options = PETSc.Options()
-    _given.update(options.getAll())  # from here on the solvers add defaults of their own
-    if "options_left" not in _given:
-        options.setValue("options_left", "no")  # newer PETSc would say at its end what `unused_options` says
+    before = options.getAll()
+    for name, value in _pairs(more):
+        options.setValue(name, value)
+    _given.update(options.getAll())
+    try:
+        yield
+    finally:
+        _given.clear()
+        for name, value in options.getAll().items():
+            if name not in before:
+                options.delValue(name)
+            elif value != before[name]:
+                options.setValue(name, before[name])
+
+
+def _pairs(words: Sequence[str]) -> Iterator[tuple[str, str | None]]:
+    """Names and values of options given as words."""
+    check_words(words)
+    for word, after in pairwise((*words, "-end")):
+        if _is_option(word):
+            yield word.lstrip("-"), None if _is_option(after) else after
 
 
 def check_words(arguments: Sequence[str]) -> None:

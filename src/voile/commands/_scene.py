@@ -2,8 +2,11 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from voile.errors import InputError
+if TYPE_CHECKING:
+    from voile.scene import Scene
+    from voile.wiring import Model
 
 
 def scene_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,25 +17,9 @@ def scene_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def load(args: argparse.Namespace):
+def load(args: argparse.Namespace) -> "tuple[Scene, Model]":
     """The scene and the model built from it. Raises InputError."""
-    from voile import blas
-    from voile.petsc_options import check_words
-    from voile.wiring import build_model
+    from voile import api
 
-    check_words(args.petsc)
-    scene = _read(args)
-    model = build_model(scene)
-    if blas.used().note:
-        model.notes.append(blas.used().note)
-    return scene, model
-
-
-def _read(args: argparse.Namespace):
-    from voile.scene import read_scene, unsupported
-
-    scene = read_scene(args.scene, args.set)
-    missing = unsupported(scene)
-    if missing:
-        raise InputError(f"{args.scene}: this version cannot run {'; '.join(missing)}")
-    return scene
+    scene = api.load(args.scene, args.set)
+    return scene, api.modelled(scene, args.petsc)

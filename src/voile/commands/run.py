@@ -1,11 +1,7 @@
 """`voile run`: solves a scene."""
 
 import argparse
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 
 from voile.commands._scene import load, scene_arguments
@@ -28,14 +24,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Solves the scene. Raises NotConverged with what missed which tolerance."""
     began = time.perf_counter()
-    from voile import blas
-    from voile.petsc_options import start_petsc, unused_options
+    from voile.petsc_options import start_petsc
 
     start_petsc(args.petsc)
     from mpi4py import MPI
 
+    from voile import api
     from voile.results import prepare_output
-    from voile.tasks import Progress, Run
+    from voile.tasks import Progress
 
     comm = MPI.COMM_WORLD
     scene, model = on_root(comm, lambda: load(args)) or (None, None)
@@ -45,40 +41,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
     prepare_output(folder, comm)
     progress = Progress(comm)
-    if blas.used().note:
-        progress.line(f"note: {blas.used().note}")
-    job = Run(scene, model, folder, comm, progress, began, resumes=args.resume)
-    task = import_module(f"voile.tasks.{scene.scene.task}")
-    try:
-        with _stoppable():
-            failure = task.run(job)
-    except (NotConverged, KeyboardInterrupt) as reason:
-        failure = str(reason) or "stopped by a signal"
-        job.refuse(failure)
-    unused = unused_options()
-    if unused:
-        progress.line(f"PETSc options that nothing used: {', '.join(unused)}")
+    failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, stoppable=True)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """SIGTERM and SIGINT end what runs within by KeyboardInterrupt."""
-    told: list[int] = []
-
-    def stop(number: int, _frame) -> None:
-        told.append(number)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    except Exception as other:
-        if told:  # newer PETSc loses what a callback raises
-            raise KeyboardInterrupt from other
-        raise
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

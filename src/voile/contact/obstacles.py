@@ -19,8 +19,8 @@ from voile.contact.obstacle import SHAPES, Obstacle
 from voile.contact.pairs import dot, outer
 from voile.contact.surfaces import AROUND, revolve, stretch, unit_sphere
 from voile.errors import InputError
-from voile.keys import File, Number, Rejected, Vector3, key, vector
-from voile.mesh import read_body
+from voile.keys import File, MeshFile, Number, Rejected, Vector3, key, vector
+from voile.mesh import RawMesh, read_body
 
 LONGEST = 1e6  # half axis of an ellipsoid over the shortest: their squares keep four digits beside each other
 
@@ -255,7 +255,7 @@ class Box(Obstacle, shape="box"):
 class MeshKeys:
     """The scene table of a mesh."""
 
-    file: Path | None = key(File(), "triangle mesh of the body, normals outwards", default=None)
+    file: Path | RawMesh | None = key(MeshFile(), "triangle mesh of the body, normals outwards", default=None)
     frames: Path | None = key(
         File(),
         "dynamics: in place of file, the body as it deforms, a pattern such as body_%03d.obj of meshes with the same "

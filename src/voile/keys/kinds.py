@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
+from voile.mesh.raw import RawMesh
+
 Vector3 = tuple[float, float, float]
 _NAMES = {
     bool: "a boolean",
@@ -187,6 +189,15 @@ class File:
 
     def schema(self) -> dict[str, Any]:
         return {"type": "string", "minLength": 1}
+
+
+class MeshFile(File):
+    """A mesh: a file, or from Python arrays in its place, (points, triangles)."""
+
+    def read(self, value: Any) -> Any:
+        if isinstance(value, RawMesh):
+            return value
+        return super().read(value)
 
 
 class Choice:

@@ -2,6 +2,7 @@
 
 from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
+from voile.mesh.raw import RawMesh, mesh_of_arrays
 from voile.mesh.select import inner_lines, select
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
@@ -12,6 +13,7 @@ __all__ = [
     "Notches",
     "Pattern",
     "Piece",
+    "RawMesh",
     "Rest",
     "SewnSeam",
     "Stitches",
@@ -20,6 +22,7 @@ __all__ = [
     "boundary_loops",
     "build_topology",
     "inner_lines",
+    "mesh_of_arrays",
     "read_body",
     "read_mesh",
     "read_rest",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 
-@dataclass
+@dataclass(eq=False)
 class RawMesh:
     """What a reader found; vertices and triangles are counted from 0 in the file's order.
 
@@ -30,6 +30,9 @@ class RawMesh:
     notes: tuple[str, ...] = ()
     in_metres: bool = False  # the file says so: no scale applies
 
+    def __str__(self) -> str:
+        return self.source
+
     def vertex(self, index: int) -> str:
         """Name of a vertex in a message."""
         return f"vertex {index}" + _line(self.point_lines, index)
@@ -42,6 +45,19 @@ class RawMesh:
     def stitch(self, index: int) -> str:
         """Name of a stitch record in a message."""
         return f"stitch {index}" + _line(self.stitch_lines, index)
+
+
+def mesh_of_arrays(points: np.ndarray, triangles: np.ndarray) -> RawMesh:
+    """The mesh of points (n, 2 or 3) and triangles (m, 3), vertices counted from 0. Raises ValueError for others."""
+    points = np.array(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise ValueError(f"points of shape {points.shape}; (n, 3) expected")
+    corners = np.asarray(triangles)
+    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
+        raise ValueError(f"triangles of shape {corners.shape}, {corners.dtype}; (m, 3) integers expected")
+    points = np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
+    group = np.zeros(len(corners), dtype=np.int32)
+    return RawMesh("mesh of arrays", points, corners.astype(np.int64), group, ("default",))
 
 
 def _line(lines: np.ndarray | None, index: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,15 +60,15 @@ class Rest:
     flat: bool
 
 
-def read_mesh(path: str | Path, scale: float = 1.0, seams: bool = True) -> Surface:
-    """Read a surface: OBJ with groups (`g`, else `o`), texture and stitches, or what meshio reads.
+def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True) -> Surface:
+    """Read a surface: OBJ with groups (`g`, else `o`), texture and stitches, what meshio reads, or arrays.
 
     `scale` turns the file's unit of length into metres, for points and texture coordinates alike.
     Polygons are split into triangle fans. Clashing orientations are repaired, unused vertices and triangles
     that vanish in a seam dropped, each with a note; without `seams` stitches are passed over.
     Raises InputError naming file, line, vertex or triangle if the file or the mesh cannot be used.
     """
-    raw = _read_raw(Path(path), scale)
+    raw = _read_raw(path, scale)
     if not seams:
         raw.stitch_vertices = raw.stitch_weight = None
     check_coordinates(raw)
@@ -113,8 +113,10 @@ def _repairs(flip: np.ndarray, keep: np.ndarray, used: np.ndarray) -> list[str]:
     return notes
 
 
-def read_rest(spec: str | None, surface: Surface, relative_to: str | Path, scale: float = 1.0) -> Rest:
-    """Rest shape: `surface` itself (None), its texture coordinates ("flat"), or a file of the same triangles.
+def read_rest(
+    spec: str | Path | RawMesh | None, surface: Surface, relative_to: str | Path, scale: float = 1.0
+) -> Rest:
+    """Rest shape: `surface` itself (None), its texture coordinates ("flat"), or a file or arrays of the same triangles.
 
     A file is found from the folder `relative_to` and takes `scale`, the metres per unit of its points;
     texture coordinates were scaled with their mesh in read_mesh, `scale` does not touch them again.
@@ -136,7 +138,7 @@ def read_rest(spec: str | None, surface: Surface, relative_to: str | Path, scale
             f"{surface.source}, texture coordinates",
         )
     else:
-        raw = _read_raw(Path(relative_to) / spec, scale)
+        raw = _read_raw(spec if isinstance(spec, RawMesh) else Path(relative_to) / spec, scale)
         check_coordinates(raw)
         _check_same_triangles(raw, surface)
         rest, source = Rest(raw.points[surface.input_vertex], surface.triangles, flat=False), raw.source
@@ -174,10 +176,10 @@ def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles), dtype=np.int32)
 
 
-def read_body(path: str | Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def read_body(path: str | Path | RawMesh, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) m and triangles (m, 3) of a body, which may have holes, pieces and double edges; triangles
     without area are dropped. Raises InputError for a file that cannot be read or has no others."""
-    raw = _read_raw(Path(path), scale)
+    raw = _read_raw(path, scale)
     check_coordinates(raw)
     if not len(raw.triangles):
         raise InputError(f"{path}: no triangles")
@@ -187,9 +189,12 @@ def read_body(path: str | Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndar
     return raw.points, np.delete(raw.triangles, flat, axis=0)
 
 
-def _read_raw(path: Path, scale: float) -> RawMesh:
+def _read_raw(path: str | Path | RawMesh, scale: float) -> RawMesh:
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"{path}: scale = {scale}, allowed: a positive number (metres per unit of the file)")
+    if isinstance(path, RawMesh):
+        return replace(path, points=path.points * scale)
+    path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     if path.stat().st_size == 0:

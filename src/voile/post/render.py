@@ -21,10 +21,11 @@ from voile.post.quantities import (
     quantity,
     vertex_curvature,
 )
-from voile.results import Result, read_result
+from voile.results import Result, opened
 
 if TYPE_CHECKING:
     import pyvista
+    from PIL.Image import Image
 
 FEATURE_ANGLE = np.radians(55.0)  # a closed start shape is outlined by the edges sharper than this
 GHOST = 0.02  # a displacement of this fraction of the size makes the start shape worth a light surface
@@ -32,9 +33,22 @@ INK, LINE = "#1b1f24", "#5b6570"
 SEQUENTIAL, DIVERGING = "YlGnBu", "RdBu_r"  # pale where little happens, so that folds show
 
 
-def render(
-    path: str | os.PathLike[str],
-    out_png: str | os.PathLike[str],
+def render(result: str | os.PathLike[str] | Result, out_png: str | os.PathLike[str], **how: Any) -> Path:
+    """Draw a step of a result into `out_png`, `how` as of `picture`; returns the picture's path. InputError for a file
+    that cannot be written."""
+    out = Path(out_png)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: pictures are written as .png")
+    drawn = picture(result, **how)
+    try:
+        drawn.save(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    return out
+
+
+def picture(
+    source: str | os.PathLike[str] | Result,
     *,
     field: str = "displacement",
     step: int = -1,
@@ -42,8 +56,8 @@ def render(
     size: tuple[int, int] = (1600, 1200),
     outline: bool = True,
     shape: str = "step",
-) -> Path:
-    """Draw a step of the result `path` coloured by `field` into `out_png`, without an X server.
+) -> Image:
+    """A step of a result, open or at a path, coloured by `field`, drawn without an X server.
 
     field: displacement, strain, curvature, mean_curvature or any stored point or cell field (vectors by
     magnitude); contact, gap and reaction come with the reactions as arrows, contact in three colours.
@@ -51,14 +65,10 @@ def render(
     undeformed shape's boundary, and its surface as a light ghost where it is far from the drawn one
     and no obstacle is in the picture.
     shape: "rest" draws the rest shape in place of the step's, without obstacles.
-    Returns the picture's path. Raises InputError for a field, view or step that is not there, or a file that
-    cannot be written.
+    Raises InputError for a field, view or step that is not there.
     """
-    out = Path(out_png)
-    if out.suffix.lower() != ".png":
-        raise InputError(f"{out}: pictures are written as .png")
     check_size(size)
-    with read_result(path) as result:
+    with opened(source) as result:
         if not -result.n_steps <= step < result.n_steps:
             raise InputError(
                 f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
@@ -83,10 +93,9 @@ def render(
                 _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
             write_title(plotter, _title(result, scene, step, "rest shape" if shape == "rest" else ""), size)
             aim(plotter, camera)
-            _save(plotter, out)
+            return _image(plotter)
         finally:
             plotter.close()
-    return out
 
 
 def check_size(size: tuple[int, int]) -> None:
@@ -248,11 +257,7 @@ def _surface(points: np.ndarray, triangles: np.ndarray) -> pyvista.PolyData:
     return pyvista.PolyData.from_regular_faces(points, triangles)
 
 
-def _save(plotter: Any, out: Path) -> None:
+def _image(plotter: Any) -> Image:
     from PIL import Image
 
-    picture = Image.fromarray(plotter.screenshot(return_img=True))
-    try:
-        picture.save(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    return Image.fromarray(plotter.screenshot(return_img=True))

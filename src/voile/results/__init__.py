@@ -3,7 +3,7 @@
 from voile.mesh import Pattern, Piece
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
 from voile.results.pattern import read_pattern, write_pattern
-from voile.results.reader import Restart, Result, read_result
+from voile.results.reader import Restart, Result, open_result, opened, read_result, result_file
 from voile.results.static import Body, StaticMesh
 from voile.results.summary import read_summary, write_summary
 from voile.results.writer import ResultWriter, prepare_output
@@ -19,10 +19,13 @@ __all__ = [
     "Result",
     "ResultWriter",
     "StaticMesh",
+    "open_result",
+    "opened",
     "prepare_output",
     "read_pattern",
     "read_result",
     "read_summary",
+    "result_file",
     "write_pattern",
     "write_summary",
 ]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -37,9 +39,31 @@ def read_result(path: str | os.PathLike[str]) -> Result:
 
     Raises InputError where it is missing, not a result of this program, of a newer format, or truncated.
     """
+    path = result_file(path)
+    try:
+        return Result(path, open_result(path))
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: damaged result file: {_first_line(error)}") from None
+
+
+def result_file(path: str | os.PathLike[str]) -> Path:
+    """The file of a result given by it or its folder."""
     path = Path(path)
-    if path.is_dir():
-        path = path / "result.vtkhdf"
+    return path / "result.vtkhdf" if path.is_dir() else path
+
+
+@contextmanager
+def opened(result: str | os.PathLike[str] | Result) -> Iterator[Result]:
+    """A result that is open already, or the one at a path, which is closed afterwards."""
+    if isinstance(result, Result):
+        yield result
+    else:
+        with read_result(result) as read:
+            yield read
+
+
+def open_result(path: Path) -> Any:
+    """The HDF5 file of a result. Raises InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such result file; `result.vtkhdf` of a run expected")
     import h5py
@@ -47,7 +71,7 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: not a result file (not HDF5); `result.vtkhdf` of a run expected")
     try:
-        return Result(path, h5py.File(path, "r", locking=False))
+        return h5py.File(path, "r", locking=False)
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: damaged result file: {_first_line(error)}") from None
 
@@ -79,7 +103,7 @@ class Result:
         self.n_points = int(file["VTKHDF/NumberOfPoints"][0])
         self.n_cells = int(file["VTKHDF/NumberOfCells"][0])
 
-    def __enter__(self) -> Result:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:

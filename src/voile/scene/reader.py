@@ -3,37 +3,39 @@
 import dataclasses
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from voile.errors import InputError
 from voile.keys import Rejected, Table
+from voile.scene.plain import plain, toml, toml_value
 from voile.scene.schema import Scene, homes
 
 KeyPath = tuple[str | int, ...]
+OF_DICT = "scene"  # stands in messages for the file of a scene given as a dict
 
 
-def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
-    """The scene of a TOML file, with `overrides` ("shell.young=2e5", "fix.0.axes=xy") applied in their order.
+def read_scene(
+    source: str | Path | Mapping[str, Any], overrides: Iterable[str] | Mapping[str, Any] = ()
+) -> Scene:
+    """The scene of a TOML file, or of a dict of its tables, with `overrides` applied in their order.
 
-    The value of an override is written as in TOML, text also without quotes. Paths in the scene become
-    absolute, from the folder of the scene file. Raises InputError that names file and line (or the override)
-    and the key, what is wrong and what is allowed.
+    Overrides are as on the command line ("shell.young=2e5", "fix.0.axes=xy"; a value is written as in TOML, text also
+    without quotes), or a dict {"shell.young": 2e5}. Paths in the scene become absolute, from the folder of the scene
+    file, or the working folder for a dict. Raises InputError that names file and line (or the override) and the key,
+    what is wrong and what is allowed.
     """
-    path, overrides = Path(path), list(overrides)
-    text = _read_text(path)
-    try:
-        tree = tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
-        raise InputError(f"{path}: not TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: arrays or tables are nested too deeply") from None
-    places = {at: f"{path}, line {line}" for at, line in key_lines(text).items()}
-    for override in overrides:
-        new = _apply(tree, override)
+    path = Path(OF_DICT) if isinstance(source, Mapping) else Path(source)
+    tree, text = _plain_tree(source) if isinstance(source, Mapping) else _parsed(path)
+    lines = {} if isinstance(source, Mapping) else key_lines(text)
+    places = {at: f"{path}, line {line}" for at, line in lines.items()}
+    told = []
+    for name, value, shown in _overrides(overrides):
+        new = _apply(tree, name, value, shown)
+        told.append(shown)
         places = {at: place for at, place in places.items() if at[: len(new)] != new} | {
-            new: f"--set {override}"
+            new: f"--set {shown}"
         }
     try:
         scene = Table(Scene).read(tree)
@@ -43,10 +45,30 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
             problem += f" (it belongs in {' or '.join(tables)})"
         place = next((places[at] for at in _prefixes(error.path) if at in places), str(path))
         raise InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}") from None
-    if overrides and not text.endswith("\n"):
+    if told and not text.endswith("\n"):
         text += "\n"
-    text += "".join(f"# --set {override}\n" for override in overrides)
+    text += "".join(f"# --set {override}\n" for override in told)
     return dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
+
+
+def _parsed(path: Path) -> tuple[dict[str, Any], str]:
+    """The tree and text of a TOML file."""
+    text = _read_text(path)
+    try:
+        return tomllib.loads(text), text
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
+        raise InputError(f"{path}: not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: arrays or tables are nested too deeply") from None
+
+
+def _plain_tree(source: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """The tree of a scene given as a dict, and the text of a file that has it."""
+    try:
+        tree = plain(source)
+    except Rejected as error:
+        raise InputError(f"{OF_DICT}: {'.'.join(map(_shown, error.path))}: {error.problem}") from None
+    return tree, toml(tree)
 
 
 def _shown(part: str | int) -> str:
@@ -141,15 +163,33 @@ def _prefixes(path: KeyPath) -> Iterator[KeyPath]:
 # ---- overrides ----
 
 
-def _apply(tree: dict[str, Any], override: str) -> KeyPath:
-    """Sets one key=value in the tree; returns the path of what is new, the key or a table made for it."""
-    if not override.isprintable():  # it becomes one line of messages and of the scene's text
-        raise InputError(
-            f"--set {override!r}: a line break or control character; allowed: one printable line"
-        )
-    name, equals, value = override.partition("=")
+def _overrides(given: Iterable[str] | Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+    """Name, value and "key=value" of overrides."""
+    if isinstance(given, Mapping):
+        for name, value in given.items():
+            try:
+                tree = plain(value)
+            except Rejected as error:
+                raise InputError(f"--set {name}: {error.problem}") from None
+            yield name, tree, f"{name}={toml_value(tree)}"
+        return
+    for override in given:
+        if not override.isprintable():  # it becomes one line of messages and of the scene's text
+            raise InputError(
+                f"--set {override!r}: a line break or control character; allowed: one printable line"
+            )
+        name, equals, text = override.partition("=")
+        if not equals:
+            raise InputError(
+                f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy"
+            )
+        yield name, _parse(text.strip(), override), override
+
+
+def _apply(tree: dict[str, Any], name: str, value: Any, override: str) -> KeyPath:
+    """Sets one key of the tree; returns the path of what is new, the key or a table made for it."""
     parts = [part.strip() for part in name.split(".")]
-    if not equals or not all(parts):
+    if not all(parts):
         raise InputError(f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy")
     path: KeyPath = ()
     new: KeyPath = ()
@@ -160,7 +200,7 @@ def _apply(tree: dict[str, Any], override: str) -> KeyPath:
         if not new and (last or (isinstance(node, dict) and part not in node)):
             new = path
         if last:
-            node[at] = _parse(value.strip(), override)
+            node[at] = value
         else:
             node = node.setdefault(at, {}) if isinstance(node, dict) else node[at]
     return new

@@ -16,8 +16,8 @@ from voile.keys import (
     Boolean,
     Box,
     Choice,
-    File,
     Integer,
+    MeshFile,
     Number,
     Rejected,
     Selection,
@@ -28,6 +28,7 @@ from voile.keys import (
     key,
     vector,
 )
+from voile.mesh import RawMesh
 from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Output, Statics
@@ -62,9 +63,9 @@ MOST_STEPS = 1e9  # of a run in time: years of computing
 
 @dataclass(frozen=True, kw_only=True)
 class Shell:
-    mesh: Path = key(File(), "shape at the start (with task = inverse the target)")
-    rest: Path | str | None = key(
-        File(("flat",)),
+    mesh: Path | RawMesh = key(MeshFile(), "shape at the start (with task = inverse the target)")
+    rest: Path | RawMesh | str | None = key(
+        MeshFile(("flat",)),
         'rest shape with the same triangles; "flat": the mesh\'s texture coordinates; default: mesh',
         default=None,
     )

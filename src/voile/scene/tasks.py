@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from voile.keys import Array, Boolean, Choice, File, Integer, Number, Rejected, Table, key
+from voile.keys import Array, Boolean, Choice, File, Integer, MeshFile, Number, Rejected, Table, key
+from voile.mesh import RawMesh
 
 TASKS = {
     "statics": True,
@@ -102,8 +103,8 @@ class Inverse:
         "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
         default=(),
     )
-    observed: Path | None = key(
-        File(),
+    observed: Path | RawMesh | None = key(
+        MeshFile(),
         "estimate: the observed equilibrium, where the mesh is the shape from which the shell got there, over "
         "statics.load_steps; default: the mesh",
         default=None,

@@ -134,5 +134,5 @@ def _seen(scene, model) -> tuple:
     file, bodies = scene.inverse.observed, tuple(model.obstacles)
     if file is None:
         return None, 1, bodies, model.offset
-    shape = read_rest(str(file), model.surface, file.parent, scene.shell.scale).points
+    shape = read_rest(file, model.surface, scene.path.parent, scene.shell.scale).points
     return shape, scene.statics.load_steps, bodies, model.offset

@@ -88,7 +88,8 @@ class TimeSteps:
         """History and restart files, in this order: no restart without its history."""
         began = time.perf_counter()
         self.history.write()
-        save_restart(self.job.folder, self.job.comm, path.count, packed(self.problem, path))
+        if self.job.lasting:
+            save_restart(self.job.folder, self.job.comm, path.count, packed(self.problem, path))
         took = time.perf_counter() - began
         self.due, self.job.writing = began + max(self.PAUSE, self.SHARE * took), self.job.writing + took
 

@@ -9,9 +9,10 @@ class Progress:
 
     QUIET = 5.0  # s between lines of a batch log
 
-    def __init__(self, comm):
+    def __init__(self, comm, quiet: bool = False):
+        self.comm = comm
         self.parameter = "load"  # what problems are at
-        self.quiet = comm.rank != 0
+        self.quiet = quiet or comm.rank != 0
         self.live = sys.stdout.isatty() and comm.size == 1  # mpirun lends its ranks a terminal
         self.began = self.last = time.perf_counter()
 

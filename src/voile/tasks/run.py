@@ -42,7 +42,7 @@ NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "frict
 @dataclass
 class Run:
     """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start;
-    resumes: goes on from the results there."""
+    resumes: goes on from the results there; lasting: all ranks see the folder, and a later run may go on from it."""
 
     scene: Scene
     model: Model | None
@@ -52,6 +52,7 @@ class Run:
     began: float
     writing: float = 0.0  # s
     resumes: bool = False
+    lasting: bool = True
 
     # ---- from the scene to the problem ----
 
@@ -113,6 +114,7 @@ class Run:
             scene_text=self.scene.text,
             versions=versions(),
             goes_on=goes_on,
+            gather=not self.lasting,
         ) as writer:
             yield writer
 

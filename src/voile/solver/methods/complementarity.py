@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from voile.contact.contact import Contact
 from voile.errors import InputError
 from voile.problem.contact import contact_of
+from voile.problem.lifetime import until_the_end
 from voile.problem.problem import Problem
 from voile.solver.linear import set_defaults, use_lu
 from voile.solver.methods.method import Outcome, Workspace
@@ -74,7 +75,7 @@ class Inequality:
         low.set(-np.inf)
         low.array[self.split :] = 0.0
         high.set(np.inf)
-        snes = PETSc.SNES().create(comm=self.problem.comm)
+        snes = until_the_end(PETSc.SNES().create(comm=self.problem.comm))
         snes.setOptionsPrefix("contact_")
         snes.setType("vinewtonrsls")
         snes.setFunction(self._residual, z.duplicate())

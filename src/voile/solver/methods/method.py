@@ -5,6 +5,7 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
+from voile.problem.lifetime import until_the_end
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.state import State
@@ -85,7 +86,7 @@ class Nonlinear:
     def __init__(self, work: Workspace, prefix: str, iteration: Iteration):
         self.work = work
         self._problem: Problem | None = None
-        snes = self.snes = PETSc.SNES().create(comm=work.comm)
+        snes = self.snes = until_the_end(PETSc.SNES().create(comm=work.comm))
         snes.setOptionsPrefix(prefix)
         hand_on(prefix)
         # Where the potential falls, the residual may rise as it likes.

@@ -1,0 +1,11 @@
+"""How MPI starts."""
+
+import os
+
+
+def without_launcher() -> None:
+    """Tells Open MPI, before it starts, where there is no mpirun: it need not start a daemon and look for networks,
+    which takes 0.3 s."""
+    if not any(name.startswith(("OMPI_COMM_WORLD", "PMI_", "PMIX_")) for name in os.environ):
+        os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
+        os.environ.setdefault("OMPI_MCA_pml", "ob1")
