@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import voile.results
-from voile.errors import InputError, NotConverged, Stopped, on_root
+from voile.errors import InputError, NotConverged, on_root
 from voile.results import open_result, prepare_output, read_summary, result_file
 from voile.results.history import read_history
 from voile.scene import Scene, read_scene, unsupported
@@ -195,10 +195,10 @@ def solve(
         except NotConverged as reason:
             failure = str(reason)
             job.refuse(failure)
-        except KeyboardInterrupt as reason:
+        except KeyboardInterrupt:
             failure = "stopped by a signal"
             job.refuse(failure)
-            if not isinstance(reason, Stopped):
+            if not stoppable:
                 raise
         unused = unused_options()
     if unused:

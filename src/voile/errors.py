@@ -25,10 +25,6 @@ class NotConverged(RuntimeError):
         self.result = result
 
 
-class Stopped(KeyboardInterrupt):
-    """A signal told a command to end."""
-
-
 class Hinged(NotConverged):
     """Parts (joints, all vertices) of a target that turn freely about the one or two vertices that they hang by."""
 

@@ -4,24 +4,22 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from voile.errors import Stopped
-
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """SIGTERM and SIGINT end what runs within by Stopped."""
+    """SIGTERM and SIGINT end what runs within by KeyboardInterrupt."""
     told: list[int] = []
 
     def stop(number: int, _frame) -> None:
         told.append(number)
-        raise Stopped
+        raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     except Exception as other:
         if told:  # newer PETSc loses what a callback raises
-            raise Stopped from other
+            raise KeyboardInterrupt from other
         raise
     finally:
         for number, handler in before.items():
