@@ -12,7 +12,7 @@ from voile.solver.stepping.books import TOTALS, Books
 from voile.solver.stepping.schemes import Before, Kinematics
 from voile.solver.stepping.time_path import TimePath
 
-FIELDS = ("positions", "velocity", "acceleration", "driven", "filtered")
+FIELDS = ("positions", "velocity", "acceleration", "filtered")
 COUNTS = ("factorisations", "solves", "iterations")
 
 

@@ -13,16 +13,15 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_report
-from voile.problem.damping import Air, Damping, KelvinVoigt, Viscous, Wind
-from voile.problem.inertia import Inertia
+from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, least_area, slow_rate
-from voile.problem.terms import Term
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
 from voile.solver.stepping.books import Books, Ended
+from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
 
@@ -145,7 +144,7 @@ def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Ki
     known."""
     x, none = problem.positions(y), np.zeros_like(velocity)
     moving = problem.motion(field_vector(problem, velocity))
-    return Kinematics(x, moving, none, none, none)
+    return Kinematics(x, moving, none, none)
 
 
 class Stepper:
@@ -222,8 +221,7 @@ class Stepper:
         trial = self.options.trial * self.asked.time_step
         done, _ = self._step(ImplicitEuler(), trial, trial)
         if done is not None:
-            a = self.k.acceleration
-            k = replace(k, acceleration=a, driven=self.k.driven, filtered=a)
+            k = replace(k, acceleration=self.k.acceleration, filtered=self.k.acceleration)
         self.problem = self.problem.at(0.0)
         self.problem.restore(self.y, start)
         self.k = k
@@ -232,14 +230,12 @@ class Stepper:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
         y, k = self.y, self.k
         start, before = self.problem.save(y), self.solver.counts.iterations
-        began = self.problem.point(y)
-        stress = self.problem.elastic.forces(began) if self.damping.stiffness else None
         problem = self.problem.at(end)
+        forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
         self._begin_contact(problem, scheme, start.time, h)
         self._guess(problem, scheme.predict(k, h))
-        with problem.elastic.stiffened(1.0 + self.damping.stiffness / h):
-            prediction, step, wanted, outcome = self._solve(problem, scheme, h, stress)
-            residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
+        prediction, step, wanted, outcome = self._solve(forces)
+        residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
@@ -251,13 +247,11 @@ class Stepper:
         if refusal:
             problem.restore(y, start)
             return None, Outcome(False, outcome.method, refusal)
-        push = _push(problem, x)
-        self.path.pushed = push.any(axis=1)
-        self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
+        self.path.pushed = _pushed(problem, x)
+        self.problem, self.k = problem, scheme.update(k, h, prediction, x)
         if scheme is self.asked.scheme:
-            resisting = self._resistance(problem, prediction, k.positions)
-            shares = self.damping.stiffness / h, stress
-            self.path.books.enter(Ended(problem, y, h, began, k, self.k, prediction, resisting, *shares))
+            books = self.path.books
+            books.enter(books.entries(Ended(forces, y, self.k, prediction)))
         done = TimeStep(
             problem.time,
             h,
@@ -292,40 +286,23 @@ class Stepper:
         finest = h <= options.finest * asked.time_step
         return "" if error <= 1.0 or finest else "the local error of a step is too large"
 
-    def _solve(
-        self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
-    ) -> tuple[Prediction, Problem, float, Outcome]:
+    def _solve(self, forces: StepForces) -> tuple[Prediction, Problem, float, Outcome]:
         """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
         prediction, problem, tolerance (N) and outcome."""
-        k, wanted = self.k, 0.0
-        prediction, euler = scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        k, h, problem, wanted = self.k, forces.h, forces.problem, 0.0
+        prediction, euler = forces.scheme.predict(k, h), ImplicitEuler().predict(k, h)
         bearing = self._bearing(problem, self.driven)
         while True:
             prediction = prediction.where(bearing, euler)
-            inertia = Inertia(
-                problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted
-            )
             if problem.contact:
                 problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
-            step = problem.with_terms(inertia, *self._resistance(problem, prediction, k.positions))
-            if stress is not None:
-                step = step.with_terms(KelvinVoigt(problem.elastic, self.damping.stiffness / h, stress))
-            wanted = wanted or self._wanted(problem, inertia)
+            step = forces.balance(prediction)
+            wanted = wanted or self._wanted(step, prediction)
             outcome = self.solver.solve(step, self.y, wanted)
             now = self._bearing(problem, bearing)
             if not outcome.converged or problem.everywhere(np.array_equal(now, bearing)):
                 return prediction, step, wanted, outcome
             bearing = now
-
-    def _resistance(self, problem: Problem, prediction: Prediction, x: np.ndarray) -> list[Term]:
-        """What depends on velocities, in a step from positions x (n, 3)."""
-        terms = list[Term]()
-        rate, still = np.broadcast_to(prediction.rate, x.shape), prediction.still
-        if self.asked.air:
-            terms.append(Wind.at(problem.part, self.asked.air, x, rate, still))
-        if self.damping.mass:
-            terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
-        return terms
 
     def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
         """Slip counts from here, impacts rebound."""
@@ -355,15 +332,17 @@ class Stepper:
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
 
-    def _wanted(self, problem: Problem, inertia: Inertia) -> float:
+    def _wanted(self, problem: Problem, prediction: Prediction) -> float:
         """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
         that the guesses have met; no less than the round-off of the inertia."""
-        loads = problem.load_norm(self.y)
+        loads = self.problem.at(problem.time).load_norm(self.y)
         if not loads:
             f = problem.create_vector()
             problem.residual(self.y, f)
             loads = self.path.largest = max(self.path.largest, f.norm(), force_floor(problem))
-        heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
+        heaviest = problem.norm(
+            (prediction.coefficient * problem.vertex_mass()[:, None])[problem.own].ravel()
+        )
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
 
@@ -375,13 +354,11 @@ def _mean_mass(problem: Problem) -> float:
     return float(total[0] / total[1])
 
 
-def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """(local vertices, 3) m/s^2: contact's reactions over the masses."""
+def _pushed(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """(local vertices,) marks those on which something bears at positions x (n, 3)."""
     if not problem.contact:
-        return np.zeros_like(x)
-    mass = problem.vertex_mass()[:, None]
-    force = problem.contact.force(x, problem.time, frozen=False)
-    return np.divide(force, mass, out=np.zeros_like(force), where=mass > 0.0)
+        return np.zeros(len(x), dtype=bool)
+    return problem.contact.force(x, problem.time, frozen=False).any(axis=1)
 
 
 def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:
