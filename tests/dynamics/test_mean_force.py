@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from moving import cloth, move
+from mpi4py import MPI
 from test_problem import sheet
 
 from voile.problem.damping import Air, Damping

@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> None:
     from mpi4py import MPI
 
     from voile.results import prepare_output
+    from voile.results.restart import newest_step
     from voile.tasks import Progress, Run
 
     comm = MPI.COMM_WORLD
@@ -43,6 +44,8 @@ def run(args: argparse.Namespace) -> None:
     folder = args.output or Path(f"{args.scene.stem}-result")
     if args.resume and scene.scene.task != "dynamics":
         raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
+    if args.resume:
+        newest_step(folder, comm)
     prepare_output(folder, comm)
     progress = Progress(comm)
     if blas.used().note:

@@ -19,8 +19,8 @@ LOADS = ("gravity", "pressure", "force", "moment")
 
 class Loads(Term):
     """Minus the work of the loads. gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume
-    under it, None where it has no potential; laws in time by LOADS, by default in proportion; `share` of all. Moments turn triangles
-    of `elastic`'s kernel."""
+    under it, None where it has no potential; laws in time by LOADS, by default in proportion; `share`: of all that
+    acts. Moments turn triangles of `elastic`'s kernel."""
 
     def __init__(
         self,

@@ -29,6 +29,14 @@ TOTALS = (
 )
 
 
+LOST = ("friction_dissipated", "impact_dissipated", "damping_dissipated")
+
+
+def created(entries: dict[str, float]) -> float:
+    """What a step with these entries takes from nowhere (J)."""
+    return entries["error"] - entries["scheme_dissipated"]
+
+
 @dataclass
 class Ended:
     """A step that ended at the unknowns y with the kinematics `after`."""
@@ -42,11 +50,17 @@ class Ended:
 @dataclass
 class Books:
     """Energies now and what has been dissipated and worked so far (J), by name: those of TOTALS add up. `error`: by how
-    much the books do not close."""
+    much the books do not close; most: that loads and motions, from the start on, have ever let the shell have."""
 
     problem: Problem
     totals: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOTALS, 0.0))
     error: float = 0.0
+    most: float = 0.0
+
+    @property
+    def created(self) -> float:
+        """What came from nowhere, by the scheme and by residuals (J)."""
+        return self.error - self.totals["scheme_dissipated"]
 
     def kinetic(self, k: Kinematics) -> float:
         """J."""
@@ -87,8 +101,10 @@ class Books:
         if problem.contact:
             contact = contact_work(problem, step.y, way, before.positions)
         missed = self._residual_work(step, way, inertia, elastic + loads + damping)
+        lost = sum(self.totals[name] for name in LOST)
         return {
             "error": missed,
+            "present": self.kinetic(step.after) + self._elastic(at) + lost,
             "friction_dissipated": contact["friction"],
             "impact_dissipated": contact["impact"],
             "damping_dissipated": wind - work["damping"],
@@ -106,6 +122,12 @@ class Books:
         for name in self.totals:
             self.totals[name] += entries[name]
         self.error += entries["error"]
+        self.most = self.let(entries)
+
+    def let(self, entries: dict[str, float]) -> float:
+        """`most` after a step with these entries (J)."""
+        lost = sum(entries[name] for name in LOST)
+        return max(self.most, entries["present"] + lost - self.created - created(entries))
 
     def _residual_work(self, step: Ended, way: np.ndarray, inertia: np.ndarray, forces: np.ndarray) -> float:
         """Of the residual over the way of what is free (J)."""

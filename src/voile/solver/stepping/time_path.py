@@ -21,6 +21,7 @@ from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
 from voile.solver.stepping.books import Books, Ended
+from voile.solver.stepping.creation import Creation
 from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
@@ -49,7 +50,8 @@ class Options:
 class TimeOptions:
     """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
     shell; damping: Rayleigh's; accuracy: local error of a step in sizes of the shell, 0: all steps are as long as
-    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never."""
+    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never; advice: what helps where energy comes
+    from nowhere."""
 
     scheme: Scheme
     time_step: float
@@ -59,6 +61,7 @@ class TimeOptions:
     damping: Damping = Damping()
     accuracy: float = 0.0
     stop_at_rest: float = 0.0
+    advice: str = "shorter steps"
 
 
 class StepSolver(Protocol):
@@ -160,6 +163,8 @@ class Stepper:
         self.mass = _mean_mass(problem)
         problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
+        self.finest = self.options.finest * options.time_step  # s
+        self.creation = Creation(problem)
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
         laws: list = [*problem.shell.load_laws.values()] if problem.shell else []
@@ -182,8 +187,10 @@ class Stepper:
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
-                if path.length < self.options.smallest * asked.time_step:
-                    path.reason = f"{outcome.reason}; at time {path.time:g} s{self._blame()}"
+                hopeless = path.length < self.options.smallest * asked.time_step
+                if hopeless or self.creation.nonsense:
+                    blame = f"; {asked.advice} help" if self.creation.nonsense else self._blame()
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s{blame}"
                     return
                 continue
             grown = self.wish or max(path.length, self.options.longer * h)
@@ -243,15 +250,18 @@ class Stepper:
             problem.restore(y, start)
             return None, outcome
         x = problem.positions(y)
+        after = scheme.update(k, h, prediction, x)
+        entries = self.path.books.entries(Ended(forces, y, after, prediction))
         refusal = self._refusal(problem, prediction, start.time, h, x)
+        if not refusal:
+            refusal = self.creation.refusal(self.path.books, entries, h <= self.finest)
         if refusal:
             problem.restore(y, start)
             return None, Outcome(False, outcome.method, refusal)
         self.path.pushed = _pushed(problem, x)
-        self.problem, self.k = problem, scheme.update(k, h, prediction, x)
+        self.problem, self.k = problem, after
         if scheme is self.asked.scheme:
-            books = self.path.books
-            books.enter(books.entries(Ended(forces, y, self.k, prediction)))
+            self.path.books.enter(entries)
         done = TimeStep(
             problem.time,
             h,
@@ -283,8 +293,7 @@ class Stepper:
         self.wish = h * min(
             max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
         )
-        finest = h <= options.finest * asked.time_step
-        return "" if error <= 1.0 or finest else "the local error of a step is too large"
+        return "" if error <= 1.0 or h <= self.finest else "the local error of a step is too large"
 
     def _solve(self, forces: StepForces) -> tuple[Prediction, Problem, float, Outcome]:
         """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
