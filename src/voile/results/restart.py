@@ -49,10 +49,10 @@ def newest_step(folder: Path, comm: MPI.Comm) -> int:
 
     def read() -> int:
         try:
-            step, ranks, form = map(int, (folder / "restart" / "last").read_text().split())
+            step, ranks, *form = map(int, (folder / "restart" / "last").read_text().split())
         except (OSError, ValueError):
             raise InputError(f"{folder}: nothing there that a run could go on from (--resume)") from None
-        if form != FORMAT:
+        if form != [FORMAT]:
             raise InputError(
                 f"{folder}: another version of the program wrote it; allowed with --resume: the same"
             )
