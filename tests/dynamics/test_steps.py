@@ -6,8 +6,9 @@ from moving import cloth, move
 from test_contact_in_time import on_slope
 from test_problem import sheet
 
+from voile.contact.crossing import entries
 from voile.contact.motion import Spell
-from voile.contact.obstacles import Box, Plane, Sphere
+from voile.contact.obstacles import Box, Plane, Sphere, Torus
 
 
 def thin_plate(**motion) -> Box:
@@ -109,3 +110,44 @@ def test_extremes_converge():
         run = move(shell, "implicit-euler", h, 10 * h, np.array([0.5, 0.0, -1.0]), [ground], tolerance=1e-6)
         assert run.path.converged, (h, fabric, friction, run.path.reason)
         assert min(x[:, 2].min() for x in run.positions) > -1e-12
+
+
+class Counted:
+    """A gap that counts how often it is asked."""
+
+    def __init__(self, body):
+        self.body, self.asked = body, 0
+
+    def __call__(self, points, rows):
+        self.asked += 1
+        return self.body.derivatives(points)[:2]
+
+
+@pytest.mark.parametrize("hover", [1e-9, 1e-6, 1e-3])
+def test_ways_of_what_hovers_take_few_places(hover):
+    """Along a plane, and over a ball, which the second way enters at a flat angle."""
+    ground = Counted(Plane(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0])))
+    begin, end = np.array([[0.0, 0.0, hover]]), np.array([[0.3, 0.0, hover]])
+    assert not entries(begin, end, ground, np.inf, 1e-10).any() and ground.asked == 1
+    ball = Counted(Sphere(center=np.zeros(3), radius=0.2))
+    begin, end = np.array([[0.0, 0.0, 0.2 + hover]] * 2), np.array([[0.0, 0.02, 0.203], [0.0, 0.02, 0.19]])
+    entered = entries(begin, end, ball, np.inf, 1e-10).any(axis=1)
+    assert entered.tolist() == [False, True] and ball.asked < 60
+
+
+def test_ways_through_thin_things_are_seen():
+    """A box of 1 um across the way, anywhere; and a thin tube of a torus, of which nothing is known but its radius."""
+    rng = np.random.default_rng(5)
+    sheetlike = Counted(Box(center=np.zeros(3), sizes=np.array([1.0, 1.0, 1e-6])))
+    begin = rng.uniform(-0.4, 0.4, (200, 3))
+    end = rng.uniform(-0.4, 0.4, (200, 3))
+    across = begin[:, 2] * end[:, 2] < 0.0
+    assert (
+        entries(begin, end, sheetlike, np.inf, 1e-12).any(axis=1) == across
+    ).all() and sheetlike.asked < 60
+    ring = Torus(center=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), radius=0.3, tube=1e-3)
+    counted = Counted(ring)
+    passing = entries(begin, end, counted, ring.finest, 1e-12).any(axis=1)
+    share = np.linspace(0.0, 1.0, 20001)[:, None]
+    sampled = [ring.distance(a + share * (b - a)).min() < -1e-9 for a, b in zip(begin, end, strict=True)]
+    assert (passing >= sampled).all() and passing.sum() <= sum(sampled) + 1 and counted.asked < 500

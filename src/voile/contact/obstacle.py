@@ -78,6 +78,11 @@ class Obstacle:
         return self.motion.moves
 
     @property
+    def finest(self) -> float:
+        """How thin it is where it is not convex (m)."""
+        return np.inf
+
+    @property
     def ends(self) -> float:
         """Time after which it stays as it is."""
         return self.motion.ends

@@ -156,6 +156,10 @@ class Torus(Obstacle, shape="torus"):
         if table.tube >= table.radius:
             raise Rejected(f"{table.tube:g}; allowed: below radius = {table.radius:g}", ("tube",))
 
+    @property
+    def finest(self) -> float:
+        return self.tube
+
     def derivatives(self, p):
         a = normalised(self.axis)
         z, r, e = radial(p - self.center, a)
@@ -277,6 +281,11 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     """A body bounded by triangles; with frames as it deforms in time."""
 
     frames: Frames | None = None
+
+    @property
+    def finest(self) -> float:
+        """A part of the mesh that is much thinner than the spacing is none of the field's."""
+        return 0.25 * self.spacing
 
     @property
     def moves(self):
