@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from moving import cloth, move
 from test_contact_in_time import on_slope
+from test_field import plate
 from test_problem import sheet
 
 from voile.contact.crossing import entries
 from voile.contact.motion import Spell
-from voile.contact.obstacles import Box, Plane, Sphere, Torus
+from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
 
 
 def thin_plate(**motion) -> Box:
@@ -33,6 +34,28 @@ def test_a_fast_sheet_stays_above_a_thin_plate(scheme):
     assert run.path.converged and run.path.attempts > run.path.count
     assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 1e-9
     assert max(np.diff(run.times)) <= 0.01 + 1e-12
+
+
+def test_a_fast_sheet_stays_above_a_thin_mesh():
+    """A plate of 1 mm and 12 triangles, whose field is as fine as it needs by itself."""
+    points, triangles = sheet(3, 3, 0.1, 0.1)
+    points += np.array([-0.05, -0.05, 0.1])
+    corners, faces = plate(0.16, 1e-3)
+    body = MeshBody.around(np.roll(corners, 1, axis=1), faces, friction=0.3)
+    shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
+    run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
+    assert run.path.converged
+    assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 2e-4
+
+
+def test_a_blunt_field_is_blamed():
+    points, triangles = sheet(3, 3, 0.1, 0.1)
+    points += np.array([-0.05, -0.05, 0.1])
+    corners, faces = plate(0.16, 1e-3)
+    body = MeshBody.around(np.roll(corners, 1, axis=1), faces, 0.014)
+    shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
+    run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
+    assert not run.path.converged and "give it a resolution of 0.00095 m" in run.path.reason
 
 
 def test_a_fast_plate_takes_a_sheet_along():

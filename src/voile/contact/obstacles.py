@@ -271,7 +271,8 @@ class MeshKeys:
     translate: Vector3 = key(vector("m"), "shift after scaling", default=(0.0, 0.0, 0.0))
     resolution: float | None = key(
         Number("m", above=0),
-        "spacing of the grid of the smooth distance field; default: half the mesh's mean edge",
+        "spacing of the grid of the smooth distance field; default: half the mesh's mean edge, or the thickness "
+        "of a thin body",
         default=None,
     )
 
@@ -359,5 +360,5 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     def about(self) -> str:
         return (
             f"{len(self.triangles)} triangles as a smooth distance field: spacing {self.spacing:.3g} m, "
-            f"largest error {self.measured:.2g} m"
+            f"largest error {self.measured:.2g} m" + (f"; {self.blurred}" if self.blurred else "")
         )

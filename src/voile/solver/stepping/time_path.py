@@ -281,7 +281,8 @@ class Stepper:
         if problem.contact:
             crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
             if not problem.everywhere(not crosses.any()):
-                return "a step leads through an obstacle"
+                blurred = [f"; {o.name}: {o.blurred}" for o in problem.contact.obstacles if o.blurred]
+                return f"a step leads through an obstacle{''.join(blurred)}"
         if not asked.accuracy:
             return ""
         jump = 0.5 * h * (p.velocity(x) - k.velocity)
