@@ -184,6 +184,7 @@ static void bind_scatter(nb::module_& m) {
              if (!model.elastic->bends()) std::fill(mesh.across.begin(), mesh.across.end(), -1);  // no hinges
              new (self) Scatter(mesh, edges, owned, copied(start), copied(unknown), copied(weight));
            })
+      .def_rw("adding", &Scatter::adding)
       .def("pattern",
            [](Scatter& s, Longs rank) {
              std::vector<int64_t> start;

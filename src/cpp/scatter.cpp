@@ -171,6 +171,7 @@ void Scatter::order_rows() {
 }
 
 void Scatter::zero(int begin, int end) {
+  if (adding) return;
   for (const Rows& rows : {inside, outside})
     if (rows.start)
       std::memset(rows.value + rows.start[begin], 0, sizeof(double) * (rows.start[end] - rows.start[begin]));

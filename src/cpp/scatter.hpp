@@ -66,6 +66,7 @@ struct Scatter {
       fresh;                      // per triangle: runs of rows (begin, end) that it is the first to touch
   std::vector<int> ghost_column;  // local unknown - owned -> column of the off-rank part
   Rows inside, outside;           // columns of this rank, and of the others
+  bool adding = false;            // a fresh assembly adds to the values there
 
   Scatter(const Mesh& mesh, bool with_edges, int owned_unknowns, std::vector<int> c_start,
           std::vector<int> c_unknown, std::vector<double> c_weight);

@@ -100,6 +100,7 @@ def build_model(scene: Scene) -> Model:
     if scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
+    notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
     return Model(shell, surface, rest, notes, bodies, offset, cuts)
 
 

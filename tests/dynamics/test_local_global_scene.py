@@ -97,11 +97,32 @@ def test_it_fits_the_projective_model_alone(scene, capsys):
 
 def test_twenty_iterations_are_a_prediction_that_says_how_far(scene):
     code, out = run(
-        scene, "out", 'dynamics.solver="local-global"', "dynamics.iterations=5", "shell.young=1e6"
+        scene, "out", 'dynamics.solver="local-global"', "dynamics.iterations=5", "shell.young=1e5"
     )
     assert code == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["residual_norm"] > 1e-8 and summary["newton_iterations"] <= 5 * summary["steps"] + 5
+
+
+def test_iterations_that_make_energy_from_nowhere_end_the_run(scene, capsys):
+    """E h is 44 times a vertex's inertia over the step, far too stiff for five iterations. Left alone the run ends with
+    0.65 J, where its fall gives 0.22 J."""
+    code, out = run(
+        scene, "out", 'dynamics.solver="local-global"', "dynamics.iterations=5", "shell.young=1e6"
+    )
+    said, summary = capsys.readouterr(), json.loads((out / "summary.json").read_text())
+    assert code == 3 and not summary["converged"] and "come from nowhere" in summary["reason"]
+    assert all(word in said.err for word in ("time_step", "dynamics.iterations", "solver = newton"))
+    assert summary["dynamics"]["time"] > 0.1 and "above their tolerance" in said.out
+    energy = summary["dynamics"]["energy"]
+    assert energy["kinetic"] + energy["stretching"] + energy["bending"] < 0.25
+
+
+def test_steps_stopped_by_count_say_so_in_reason_and_log(scene, capsys):
+    code, out = run(scene, "out", 'dynamics.solver="local-global"', "dynamics.iterations=5")
+    said, summary = capsys.readouterr().out, json.loads((out / "summary.json").read_text())
+    assert code == 0 and summary["converged"] and "stopped by count" in summary["reason"]
+    assert "above their tolerance, by up to" in said and "dynamics.iterations = 5" in said
 
 
 def test_twenty_iterations_give_a_landing_sheet_no_energy(scene):

@@ -152,6 +152,8 @@ def test_refusals(scene, tmp_path, capsys, given, message):
         ("0,0,0\n", "3 numbers"),
         ("0,0,0,0\n1,a,0,0\n", "line 2: not numbers"),
         ("", "is empty"),
+        ("0,0,0.1,0\n1,0,0,1\n", "at t = 0 it has moved by 0, 0.1, 0"),
+        ("-1,0,0,0\n1,0,0,1\n", "at t = 0 it has moved by 0, 0, 0.5"),
     ],
 )
 def test_tables_of_motion_are_checked(scene, tmp_path, capsys, table, message):
@@ -161,11 +163,27 @@ def test_tables_of_motion_are_checked(scene, tmp_path, capsys, table, message):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("given", ["wind=[1,0,0]", "drag=0.5", "history=[[0,1]]"])
+def test_loads_in_time_need_time(scene, tmp_path, capsys, given):
+    still = scene.read_text().replace('task = "dynamics"', 'task = "statics"')
+    scene.write_text("\n".join(line for line in still.splitlines() if not line.startswith("move")))
+    assert main(["run", str(scene), "-o", str(tmp_path / "out"), "--set", f"loads.{given}"]) == 2
+    said = capsys.readouterr().err
+    assert f"loads.{given.split('=')[0]}" in said and "task = dynamics" in said
+
+
 def test_resume_refuses_what_is_not_its_own(scene, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out), "--resume"]) == 2
-    assert "nothing there" in capsys.readouterr().err
+    assert "nothing there" in capsys.readouterr().err and not out.exists()
     assert main(["run", str(scene), "-o", str(out)]) == 0
+    last = out / "restart" / "last"
+    step, ranks, form = last.read_text().split()
+    for changed, message in ((f"{step} 3 {form}", "mpirun -n 3"), (f"{step} {ranks}", "another version")):
+        last.write_text(changed)
+        assert main(["run", str(scene), "-o", str(out), "--resume"]) == 2
+        assert message in capsys.readouterr().err
+    last.write_text(f"{step} {ranks} {form}")
     before = (out / "result.vtkhdf").read_bytes()
     assert main(["run", str(scene), "-o", str(out), "--resume", "--set", "shell.young=2e5"]) == 2
     assert "another scene" in capsys.readouterr().err and (out / "result.vtkhdf").read_bytes() == before

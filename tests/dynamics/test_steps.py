@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from moving import cloth, move
 from test_contact_in_time import on_slope
+from test_field import plate
 from test_problem import sheet
 
+from voile.contact.crossing import entries
 from voile.contact.motion import Spell
-from voile.contact.obstacles import Box, Plane, Sphere
+from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
 
 
 def thin_plate(**motion) -> Box:
@@ -32,6 +34,28 @@ def test_a_fast_sheet_stays_above_a_thin_plate(scheme):
     assert run.path.converged and run.path.attempts > run.path.count
     assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 1e-9
     assert max(np.diff(run.times)) <= 0.01 + 1e-12
+
+
+def test_a_fast_sheet_stays_above_a_thin_mesh():
+    """A plate of 1 mm and 12 triangles, whose field is as fine as it needs by itself."""
+    points, triangles = sheet(3, 3, 0.1, 0.1)
+    points += np.array([-0.05, -0.05, 0.1])
+    corners, faces = plate(0.16, 1e-3)
+    body = MeshBody.around(np.roll(corners, 1, axis=1), faces, friction=0.3)
+    shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
+    run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
+    assert run.path.converged
+    assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 2e-4
+
+
+def test_a_blunt_field_is_blamed():
+    points, triangles = sheet(3, 3, 0.1, 0.1)
+    points += np.array([-0.05, -0.05, 0.1])
+    corners, faces = plate(0.16, 1e-3)
+    body = MeshBody.around(np.roll(corners, 1, axis=1), faces, 0.014)
+    shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
+    run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
+    assert not run.path.converged and "give it a resolution of 0.00095 m" in run.path.reason
 
 
 def test_a_fast_plate_takes_a_sheet_along():
@@ -109,3 +133,44 @@ def test_extremes_converge():
         run = move(shell, "implicit-euler", h, 10 * h, np.array([0.5, 0.0, -1.0]), [ground], tolerance=1e-6)
         assert run.path.converged, (h, fabric, friction, run.path.reason)
         assert min(x[:, 2].min() for x in run.positions) > -1e-12
+
+
+class Counted:
+    """A gap that counts how often it is asked."""
+
+    def __init__(self, body):
+        self.body, self.asked = body, 0
+
+    def __call__(self, points, rows):
+        self.asked += 1
+        return self.body.derivatives(points)[:2]
+
+
+@pytest.mark.parametrize("hover", [1e-9, 1e-6, 1e-3])
+def test_ways_of_what_hovers_take_few_places(hover):
+    """Along a plane, and over a ball, which the second way enters at a flat angle."""
+    ground = Counted(Plane(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0])))
+    begin, end = np.array([[0.0, 0.0, hover]]), np.array([[0.3, 0.0, hover]])
+    assert not entries(begin, end, ground, np.inf, 1e-10).any() and ground.asked == 1
+    ball = Counted(Sphere(center=np.zeros(3), radius=0.2))
+    begin, end = np.array([[0.0, 0.0, 0.2 + hover]] * 2), np.array([[0.0, 0.02, 0.203], [0.0, 0.02, 0.19]])
+    entered = entries(begin, end, ball, np.inf, 1e-10).any(axis=1)
+    assert entered.tolist() == [False, True] and ball.asked < 60
+
+
+def test_ways_through_thin_things_are_seen():
+    """A box of 1 um across the way, anywhere; and a thin tube of a torus, of which nothing is known but its radius."""
+    rng = np.random.default_rng(5)
+    sheetlike = Counted(Box(center=np.zeros(3), sizes=np.array([1.0, 1.0, 1e-6])))
+    begin = rng.uniform(-0.4, 0.4, (200, 3))
+    end = rng.uniform(-0.4, 0.4, (200, 3))
+    across = begin[:, 2] * end[:, 2] < 0.0
+    assert (
+        entries(begin, end, sheetlike, np.inf, 1e-12).any(axis=1) == across
+    ).all() and sheetlike.asked < 60
+    ring = Torus(center=np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), radius=0.3, tube=1e-3)
+    counted = Counted(ring)
+    passing = entries(begin, end, counted, ring.finest, 1e-12).any(axis=1)
+    share = np.linspace(0.0, 1.0, 20001)[:, None]
+    sampled = [ring.distance(a + share * (b - a)).min() < -1e-9 for a, b in zip(begin, end, strict=True)]
+    assert (passing >= sampled).all() and passing.sum() <= sum(sampled) + 1 and counted.asked < 500

@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> None:
 
     from voile import api
     from voile.results import prepare_output
+    from voile.results.restart import newest_step
     from voile.tasks import Progress
 
     comm = MPI.COMM_WORLD
@@ -39,6 +40,8 @@ def run(args: argparse.Namespace) -> None:
     folder = args.output or Path(f"{args.scene.stem}-result")
     if args.resume and scene.scene.task != "dynamics":
         raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
+    if args.resume:
+        newest_step(folder, comm)
     prepare_output(folder, comm)
     progress = Progress(comm)
     failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, stoppable=True)

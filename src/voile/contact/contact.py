@@ -13,6 +13,8 @@ from functools import partial
 
 import numpy as np
 
+from voile.contact.crossing import entries
+from voile.contact.directions import unit
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
@@ -21,7 +23,6 @@ from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
-ADVANCES = 200  # places looked at on a way
 TURNED = 0.5  # cosine of the turn between normals that are on different sides of a body
 CLEAR = 0.02  # sizes: a gap from which it does not end there
 
@@ -59,30 +60,22 @@ class Contact(NaturalMap):
 
     def crosses(self, x: np.ndarray, began: float, moved: np.ndarray, ended: float) -> np.ndarray:
         """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
-        obstacle and ends elsewhere on it: where the normal is another. Distances bound how far a vertex is from
-        entering (conservative advancement), so that no body is too thin."""
+        obstacle and ends elsewhere on it: where the normal is another (see contact.crossing)."""
         start, found = time.perf_counter(), np.zeros(len(x), dtype=bool)
         for k, obstacle in enumerate(self.obstacles):
             begin, end = obstacle.way(x, began, moved, ended)
-            length = np.linalg.norm(end - begin, axis=1)
-            offset = np.asarray(self.offset)[k]
-            share, entry = np.zeros(len(x)), np.zeros_like(x)
+            length, offset = np.linalg.norm(end - begin, axis=1), np.asarray(self.offset)[k]
             going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
-            for _ in range(ADVANCES):
-                if not len(going):
-                    break
-                there = begin[going] + share[going, None] * (end - begin)[going]
-                gap, normal = obstacle.derivatives_on_way(there, began)[:2]
-                inside = gap - offset[going] <= self.touch
-                entry[going[inside]] = normal[inside]
-                share[going] += np.maximum(gap - offset[going], self.touch) / np.maximum(
-                    length[going], 1e-300
-                )
-                going = going[~inside & (share[going] < 1.0)]
-            entered = np.flatnonzero(entry.any(axis=1))
-            if len(entered):
-                normal = obstacle.derivatives_on_way(end[entered], began)[1]
-                found[entered] |= np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
+
+            def gap(points, rows, obstacle=obstacle, offset=offset[going]):
+                here, normal = obstacle.derivatives_on_way(points, began)[:2]
+                return here - offset[rows], unit(normal, np.zeros(3))[1]
+
+            entry = entries(begin[going], end[going], gap, obstacle.finest, self.touch)
+            entered = entry.any(axis=1)
+            normal = obstacle.derivatives_on_way(end[going[entered]], began)[1]
+            turned = np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
+            found[going[entered]] |= turned
         self.seconds += time.perf_counter() - start
         return found
 

@@ -21,6 +21,13 @@ COARSE = 4  # grid spacings per spacing of the grid that finds the band
 FINEST, COARSEST = 1 / 400, 1 / 60  # default spacing, of the body's diagonal
 BLUNT = 0.1  # coarsest spacing allowed, of the diagonal
 LARGEST = 3e7  # nodes of a grid
+AFFORDABLE = 1e7  # nodes of a grid that nobody asked for: about 15 s
+RESOLVED = 1.25  # thinnesses: coarsest spacing at which a spline through a plate has an inside wherever its nodes are
+SAMPLES = 4000  # places at which thinness is measured
+PART, MOST = (
+    0.05,
+    0.5,
+)  # shares of the surface that make a thin part, and a body that is thin and refined by itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +35,7 @@ class DistanceField:
     """The signed distance to a body bounded by triangles, points and triangles as given.
 
     coefficients (nx, ny, nz) of the spline (m) on a grid of `spacing` (m) from `origin` (3,), continued beyond the grid
-    by the distance to it; measured: largest error (m).
+    by the distance to it; measured: largest error (m); thinnest: part of the body (m), inf where it is thick enough.
     """
 
     points: np.ndarray
@@ -37,6 +44,17 @@ class DistanceField:
     spacing: float
     coefficients: np.ndarray
     measured: float
+    thinnest: float = np.inf
+
+    @property
+    def blurred(self) -> str:
+        """What the field does not see of the body; empty where it sees it."""
+        if self.spacing <= RESOLVED * self.thinnest:
+            return ""
+        return (
+            f"parts of it are {self.thinnest:.2g} m thin, below the spacing of its distance field, "
+            f"{self.spacing:.2g} m, and may let things through: give it a resolution of {self.thinnest:.2g} m"
+        )
 
     def distance(self, p: np.ndarray) -> np.ndarray:
         """(n,) m at points (n, 3)."""
@@ -118,6 +136,10 @@ def distance_field(
     spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * diagonal, COARSEST * diagonal))
     _check_orientation(points, triangles, source)
     skin = _outer(points, triangles, diagonal)
+    thinnest, thickness = _thin(points, triangles, skin, spacing)
+    if not resolution and spacing > RESOLVED * thickness:
+        space = np.prod(np.ptp(points, axis=0) + 2 * (BAND + COARSE) * thickness)
+        spacing = max(thickness, float(np.cbrt(space / AFFORDABLE)))
     margin = (BAND + COARSE) * spacing
     origin = points.min(axis=0) - margin
     shape = np.ceil((np.ptp(points, axis=0) + 2 * margin) / spacing / COARSE).astype(int) * COARSE + 1
@@ -135,6 +157,7 @@ def distance_field(
         spacing=spacing,
         coefficients=coefficients,
         measured=0.0,
+        thinnest=thinnest,
     )
     return replace(body, measured=_measure(body, skin))
 
@@ -186,6 +209,35 @@ def _outer(points: np.ndarray, triangles: np.ndarray, diagonal: float) -> np.nda
     probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
     outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5
     return triangles[outside.reshape(-1, 4).any(axis=1)]
+
+
+def _thin(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, most: float) -> tuple[float, float]:
+    """How thin (m) the body is behind a small part of its skin and behind half of it, inf where that is more than
+    `most` (m): how far inwards from places on it outside is, to a tenth."""
+    corner = points[skin]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    twice = np.linalg.norm(normal, axis=1)
+    rng = np.random.default_rng(0)
+    row = rng.choice(len(skin), SAMPLES, p=twice / twice.sum())
+    share = rng.dirichlet(np.ones(3), SAMPLES)
+    place = np.einsum("pk,pki->pi", share, corner[row])
+    inwards = -normal[row] / twice[row, None]
+
+    def outside(depth: np.ndarray) -> np.ndarray:
+        there = np.ascontiguousarray(place + depth[:, None] * inwards)
+        return igl.fast_winding_number(points, triangles, there) <= 0.5
+
+    deep = np.full(SAMPLES, most)
+    thin = outside(deep)
+    if thin.mean() < PART:
+        return np.inf, np.inf
+    shallow = deep / 256.0
+    for _ in range(6):  # to the 64th root of 256
+        middle = np.sqrt(shallow * deep)
+        beyond = outside(middle)
+        deep, shallow = np.where(beyond, middle, deep), np.where(beyond, shallow, middle)
+    found = np.sort(np.where(thin, shallow, np.inf))
+    return float(found[int(PART * SAMPLES)]), float(found[int(MOST * SAMPLES)])
 
 
 def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:

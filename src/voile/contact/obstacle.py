@@ -78,6 +78,16 @@ class Obstacle:
         return self.motion.moves
 
     @property
+    def blurred(self) -> str:
+        """What its distance does not see of it; empty where it sees all."""
+        return ""
+
+    @property
+    def finest(self) -> float:
+        """How thin it is where it is not convex (m)."""
+        return np.inf
+
+    @property
     def ends(self) -> float:
         """Time after which it stays as it is."""
         return self.motion.ends

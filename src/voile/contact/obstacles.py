@@ -156,6 +156,10 @@ class Torus(Obstacle, shape="torus"):
         if table.tube >= table.radius:
             raise Rejected(f"{table.tube:g}; allowed: below radius = {table.radius:g}", ("tube",))
 
+    @property
+    def finest(self) -> float:
+        return self.tube
+
     def derivatives(self, p):
         a = normalised(self.axis)
         z, r, e = radial(p - self.center, a)
@@ -267,7 +271,8 @@ class MeshKeys:
     translate: Vector3 = key(vector("m"), "shift after scaling", default=(0.0, 0.0, 0.0))
     resolution: float | None = key(
         Number("m", above=0),
-        "spacing of the grid of the smooth distance field; default: half the mesh's mean edge",
+        "spacing of the grid of the smooth distance field; default: half the mesh's mean edge, or the thickness "
+        "of a thin body",
         default=None,
     )
 
@@ -277,6 +282,11 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     """A body bounded by triangles; with frames as it deforms in time."""
 
     frames: Frames | None = None
+
+    @property
+    def finest(self) -> float:
+        """A part of the mesh that is much thinner than the spacing is none of the field's."""
+        return 0.25 * self.spacing
 
     @property
     def moves(self):
@@ -350,5 +360,5 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     def about(self) -> str:
         return (
             f"{len(self.triangles)} triangles as a smooth distance field: spacing {self.spacing:.3g} m, "
-            f"largest error {self.measured:.2g} m"
+            f"largest error {self.measured:.2g} m" + (f"; {self.blurred}" if self.blurred else "")
         )

@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 
-from voile.problem.elastic import Elastic
 from voile.problem.inertia import Inertia
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
@@ -64,6 +63,12 @@ class Wind(Term):
         share = (self.air.drag / 3.0) * area[:, None] * abs(u) * u
         return at.over_dofs(self._gather(share[:, :, None] * normal[:, None]))
 
+    def given(self, at: Point, h: float) -> float:
+        """What the moving air works over h (s) on this rank (J)."""
+        area, normal, u = self._flow(at)
+        share = (self.air.drag / 3.0) * area[:, None] * abs(u) * u * self.part.weight[:, None]
+        return h * float((share * (normal @ self.air.velocity)[:, None]).sum())
+
     def blocks(self, at: Point, kind: str) -> Blocks:
         area, normal, u = self._flow(at)
         stiff = (2.0 * self.air.drag / 3.0) * area[:, None] * abs(u) * self.rate[self.part.corners, 0]
@@ -82,24 +87,3 @@ class Wind(Term):
         total = np.zeros((len(self.part.vertex), *rows.shape[2:]))
         np.add.at(total, self.part.corners, rows)
         return total
-
-
-@dataclass
-class KelvinVoigt(Term):
-    """The dead part of stiffness damping by the mean rate of the elastic force F over a step: -b (F(x) - F_n) / h, with
-    share b / h. `Elastic.stiffness` 1 + b / h has the rest; start (dofs,) N: F_n."""
-
-    elastic: Elastic
-    share: float
-    start: np.ndarray
-
-    def energies(self, at: Point) -> dict[str, float]:
-        own = np.zeros(len(self.start), dtype=bool)
-        part = self.elastic.part
-        own[(3 * part.owned_vertices[:, None] + np.arange(3)).ravel()] = True
-        own[len(at.u) + part.owned_edges] = True
-        away = np.concatenate([at.displacement, at.phi])
-        return {"kelvin-voigt": self.share * float((self.start * away)[own].sum())}
-
-    def forces(self, at: Point) -> np.ndarray:
-        return -self.share * self.start

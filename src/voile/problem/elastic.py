@@ -21,10 +21,14 @@ class Elastic(Term):
     def __init__(self, part: Part, model: str, flat: bool):
         self.part, self.model, self.flat = part, model, flat
         self.seconds, self.stiffness, self.passes = 0.0, 1.0, False
+        self._twins: list[Elastic] = []
         self.count_from(part.points)
 
     def count_from(self, start: np.ndarray) -> None:
         """Displacements count from `start` (local vertices, 3) m."""
+        self._start = start
+        for twin in self._twins:
+            twin.count_from(start)
         self.kernel = make_kernel(self.part, self.model, start, self.flat)
         if self.stiffness != 1.0:
             self._stiffen()
@@ -33,6 +37,15 @@ class Elastic(Term):
         """Takes the part's present rest shape."""
         self.flat = flat
         self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
+
+    def twin(self, number: int) -> "Elastic":
+        """The same with a kernel of its own, for what is evaluated at several points."""
+        while len(self._twins) <= number:
+            twin = Elastic(self.part, self.model, self.flat)
+            twin.count_from(self._start)
+            self._twins.append(twin)
+        self._twins[number].passes = self.passes
+        return self._twins[number]
 
     @contextmanager
     def stiffened(self, factor: float) -> Iterator[None]:
@@ -71,6 +84,9 @@ class Elastic(Term):
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         self.kernel.hessian(at.u, at.phi, kind, scatter)
+
+    def predict(self, at: Point, step: np.ndarray) -> None:
+        self.kernel.predict(at.u, at.phi, step[: len(at.u)], step[len(at.u) :])
 
     def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
         """None on which a hinge turns through 180 degrees or that ends beyond a barrier of the model; 0 where even a

@@ -1,4 +1,4 @@
-"""Inertia of one implicit step in time."""
+"""Inertia of one implicit step in time, and the forces on it from before."""
 
 from dataclasses import dataclass
 
@@ -29,6 +29,21 @@ class Inertia(Term):
 
     def blocks(self, at: Point, kind: str) -> Blocks:
         yield mass_blocks(self.mass, self.coefficient)
+
+
+@dataclass
+class Dead(Term):
+    """A constant force (dofs,) N, counted where own (dofs,) says."""
+
+    force: np.ndarray
+    own: np.ndarray
+
+    def energies(self, at: Point) -> dict[str, float]:
+        away = np.concatenate([at.displacement, at.phi])
+        return {"dead": -float((self.force * away)[self.own].sum())}
+
+    def forces(self, at: Point) -> np.ndarray:
+        return self.force
 
 
 def mass_blocks(mass: np.ndarray, coefficient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

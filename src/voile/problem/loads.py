@@ -1,6 +1,8 @@
 """External forces on a part of a shell: gravity, pressure, dead forces, end moments, each with its law in time."""
 
+import copy
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 
@@ -17,8 +19,8 @@ LOADS = ("gravity", "pressure", "force", "moment")
 
 class Loads(Term):
     """Minus the work of the loads. gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume
-    under it, None where it has no potential; laws in time by LOADS, by default in proportion. Moments turn triangles
-    of `elastic`'s kernel."""
+    under it, None where it has no potential; laws in time by LOADS, by default in proportion; `share`: of all that
+    acts. Moments turn triangles of `elastic`'s kernel."""
 
     def __init__(
         self,
@@ -33,6 +35,7 @@ class Loads(Term):
         self.laws = {name: Load() for name in LOADS} | dict(laws or {})
         self.origin = np.zeros(3) if origin is None else origin
         self.moments = EndMoments(part) if part.moment.any() else None
+        self.share = 1.0
         self.own = np.zeros(len(part.vertex), dtype=bool)
         self.own[part.owned_vertices] = True
         self.weigh()
@@ -45,7 +48,13 @@ class Loads(Term):
 
     def factor(self, name: str, time: float) -> float:
         """How much of a load acts."""
-        return self.laws[name].factor(time)
+        return self.share * self.laws[name].factor(time)
+
+    def scaled(self, share: float) -> Self:
+        """A share of them all."""
+        other = copy.copy(self)
+        other.share = share
+        return other
 
     def gravity_at(self, time: float) -> np.ndarray:
         """(3,) m/s^2."""

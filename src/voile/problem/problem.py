@@ -76,6 +76,12 @@ class Problem:
         other.terms = (*self.terms, *terms)
         return other
 
+    def with_means(self, elastic: Term, loads: Loads, *terms: Term) -> "Problem":
+        """The same problem with other elastic forces and loads, and more terms."""
+        other = copy.copy(self)
+        other.loads, other.terms = loads, (elastic, loads, *self.terms[2:], *terms)
+        return other
+
     def with_contact(self, contact: Contact | None, *terms: Term) -> "Problem":
         """The same problem with a contact and the terms that it always needs, in place of its own."""
         other = copy.copy(self)
@@ -262,7 +268,9 @@ class Problem:
 
     def predict(self, y: PETSc.Vec, direction: PETSc.Vec) -> None:
         """Extrapolates the stresses linearly from y along a direction of the unknowns, for a mixed tangent."""
-        self.kernel.predict(*self.shape(y), *self.layout.spread(direction))
+        at, step = self.point(y), np.concatenate(self.layout.spread(direction))
+        for term in self.terms:
+            term.predict(at, step)
 
     def vertex_mass(self) -> np.ndarray:
         """(local vertices,) lumped mass (kg)."""

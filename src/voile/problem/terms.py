@@ -46,6 +46,9 @@ class Term:
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         """Writes what of its Hessian comes by triangles."""
 
+    def predict(self, at: Point, step: np.ndarray) -> None:
+        """Extrapolates its stresses linearly over a step of the degrees of freedom (dofs,), for a mixed Hessian."""
+
     def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
         """Length up to `most`, over a step of the degrees of freedom (dofs,), that it admits on this rank."""
         return most

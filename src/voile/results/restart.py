@@ -18,6 +18,8 @@ from voile.errors import InputError, on_root
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+FORMAT = 2  # of the arrays
+
 
 def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, np.ndarray]) -> None:
     """Replaces what is in the run's folder by each rank's arrays after a number of steps. Collective."""
@@ -28,7 +30,7 @@ def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, n
 
     def commit() -> None:
         part = inside / ".last.part"
-        part.write_text(f"{step} {comm.size}\n")
+        part.write_text(f"{step} {comm.size} {FORMAT}\n")
         os.replace(part, inside / "last")
         for old in inside.glob("*.npz"):
             if not old.name.startswith(f"{step}-"):
@@ -42,18 +44,29 @@ def clear_restart(folder: Path, comm: MPI.Comm) -> None:
     on_root(comm, lambda: (folder / "restart" / "last").unlink(missing_ok=True))
 
 
-def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, np.ndarray]:
-    """This rank's arrays of the newest complete set. Raises InputError where there is none for as many ranks."""
+def newest_step(folder: Path, comm: MPI.Comm) -> int:
+    """That of the newest complete set. Raises InputError where there is none for as many ranks. Collective."""
 
-    def newest() -> tuple[int, int]:
+    def read() -> int:
         try:
-            step, ranks = map(int, (folder / "restart" / "last").read_text().split())
+            step, ranks, *form = map(int, (folder / "restart" / "last").read_text().split())
         except (OSError, ValueError):
             raise InputError(f"{folder}: nothing there that a run could go on from (--resume)") from None
+        if form != [FORMAT]:
+            raise InputError(
+                f"{folder}: another version of the program wrote it; allowed with --resume: the same"
+            )
         if ranks != comm.size:
-            raise InputError(f"{folder}: a run of {ranks} ranks; allowed with --resume: as many")
-        return step, ranks
+            raise InputError(
+                f"{folder}: a run of {ranks} ranks, now {comm.size}; allowed with --resume: mpirun -n {ranks}"
+            )
+        return step
 
-    step, _ = comm.bcast(on_root(comm, newest))
+    return comm.bcast(on_root(comm, read))
+
+
+def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, np.ndarray]:
+    """This rank's arrays of the newest complete set. Raises InputError where there is none for as many ranks."""
+    step = newest_step(folder, comm)
     with np.load(folder / "restart" / f"{step}-{comm.rank}.npz", allow_pickle=False) as file:
         return dict(file)

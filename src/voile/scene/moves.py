@@ -64,8 +64,8 @@ class Move:
 
 def read_path(path: Path, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times (k,) s and rows (k, 6) of displacement (m) and rotation vector (rad) of a table of motion (csv), of which
-    the first line may be a heading. Raises InputError where it is none, runs backwards, or does not last from 0 to the
-    duration (s)."""
+    the first line may be a heading. Raises InputError where it is none, runs backwards, starts with a jump, or does not
+    last from 0 to the duration (s)."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -92,4 +92,8 @@ def read_path(path: Path, duration: float) -> tuple[np.ndarray, np.ndarray]:
         lasts = f"lasts from {rows[0][0]:g} to {rows[-1][0]:g} s" if rows else "is empty"
         raise InputError(f"{path}: {lasts}; allowed: from 0 to dynamics.duration = {duration:g} s at least")
     table = np.array(rows)
+    start = [float(np.interp(0.0, table[:, 0], column)) for column in table[:, 1:].T]
+    if any(start):
+        moved = ", ".join(f"{value:g}" for value in start)
+        raise InputError(f"{path}: at t = 0 it has moved by {moved} already; allowed: no motion at t = 0")
     return table[:, 0], np.pad(table[:, 1:], ((0, 0), (0, 7 - table.shape[1])))

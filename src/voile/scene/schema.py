@@ -220,6 +220,10 @@ class Scene:
                             (table, index, "move"),
                         )
         if self.scene.task != "dynamics":
+            for name in ("wind", "drag", "history"):
+                value = getattr(self.loads, name)
+                if any(value) if isinstance(value, tuple) else value:
+                    raise Rejected("allowed with task = dynamics", ("loads", name))
             for table in ("fix", "obstacle"):
                 for index, each in enumerate(getattr(self, table)):
                     if each.move and each.move.in_time:

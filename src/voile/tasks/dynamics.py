@@ -2,6 +2,7 @@
 
 from voile.problem.damping import Damping
 from voile.problem.problem import Problem
+from voile.scene.tasks import Dynamics
 from voile.solver.methods.local_global import LocalGlobal
 from voile.solver.methods.local_global import Options as LocalGlobalOptions
 from voile.solver.stepping.newton_step import NewtonStep
@@ -25,6 +26,7 @@ def run(job: Run) -> str:
         Damping(d.damping.mass, d.damping.stiffness),
         accuracy=d.accuracy if d.adaptive else 0.0,
         stop_at_rest=d.stop_at_rest,
+        advice=_advice(d),
     )
     shell, problem = job.prepare()
     problem = problem.at(0.0)
@@ -33,13 +35,29 @@ def run(job: Run) -> str:
         steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)
-    if d.solver == "local-global" and steps.short:
-        job.note(
-            f"{steps.short} steps end with a residual above their tolerance, by up to {steps.worst:.1e} times "
-            f"(dynamics.iterations = {d.iterations}; history.h5: residual)"
+    if steps.short:
+        told = (
+            f"{steps.short} of {path.count} steps end above their tolerance, by up to {steps.worst:.1e} times"
         )
+        if d.solver == "local-global":
+            told += f", stopped by count, dynamics.iterations = {d.iterations}"
+            path.reason += f"; {told}"
+        job.progress.line(f"note: {told}; history.h5: residual")
+        job.note(f"{told}; history.h5: residual")
     job.summarise(problem, path, dynamics=figures(problem, path))
     return "" if path.converged else path.reason
+
+
+def _advice(d: Dynamics) -> str:
+    """What helps where energy comes from nowhere."""
+    ways = ["a shorter dynamics.time_step"]
+    if d.solver == "local-global":
+        ways += ["more dynamics.iterations", "dynamics.solver = newton"]
+    if d.scheme == "generalized-alpha":
+        ways.append("a smaller dynamics.spectral_radius")
+    if d.scheme != "implicit-euler":
+        ways.append("dynamics.scheme = implicit-euler")
+    return ", ".join(ways[:-1]) + f" or {ways[-1]}" if len(ways) > 1 else ways[0]
 
 
 def step_solver(job: Run, problem: Problem) -> StepSolver:

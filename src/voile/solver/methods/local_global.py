@@ -15,7 +15,9 @@ from petsc4py import PETSc
 
 from voile.contact.local import LocalLaws
 from voile.problem.contact import contact_of
+from voile.problem.elastic import Elastic
 from voile.problem.inertia import Inertia, mass_blocks
+from voile.problem.mean import MeanElastic
 from voile.problem.problem import Problem
 from voile.problem.projective import constant_blocks
 from voile.solver.anderson import Anderson
@@ -74,11 +76,13 @@ class LocalGlobal:
 
     def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, Resistance | None]:
         """A for an inertia of `coefficient` (1/s^2), and what contacts take for it."""
-        key = coefficient, problem.elastic.stiffness
+        elastic = problem.terms[0]
+        assert isinstance(elastic, Elastic | MeanElastic)
+        key = coefficient, elastic.stiffness
         if key not in self._matrices:
             matrix = problem.create_matrix()
             inertia = mass_blocks(problem.vertex_mass(), coefficient)
-            problem.assemble(matrix, problem.elastic.stiffness * self.blocks, [inertia])
+            problem.assemble(matrix, elastic.stiffness * self.blocks, [inertia])
             kept = list(self._matrices.items())[1 - SIZES :]
             resistance = Resistance(problem, matrix, coefficient) if problem.contact else None
             self._matrices = dict(kept) | {key: (ConstantMatrix(problem, matrix, self.counts), resistance)}
@@ -119,10 +123,7 @@ class _Step:
         self.fresh = fresh
         at = problem.point(y)
         self.x = at.positions
-        forces = problem.elastic.forces(at)
-        for term in problem.terms:
-            if term is not problem.elastic:
-                forces += term.forces(at)
+        forces = sum((term.forces(at) for term in problem.terms[1:]), problem.terms[0].forces(at))
         if laws is not None:
             if fresh:
                 self._linearise(laws, self.x)

@@ -13,7 +13,8 @@ from petsc4py import PETSc
 from voile.problem.contact import contact_work
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Point
+from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import Kinematics, Prediction
 
 TOTALS = (
@@ -21,38 +22,45 @@ TOTALS = (
     "impact_dissipated",
     "damping_dissipated",
     "scheme_dissipated",
+    "wind_work",
     "supports_work",
     "obstacles_work",
     "loads_work",
 )
 
 
+LOST = ("friction_dissipated", "impact_dissipated", "damping_dissipated")
+
+
+def created(entries: dict[str, float]) -> float:
+    """What a step with these entries takes from nowhere (J)."""
+    return entries["error"] - entries["scheme_dissipated"]
+
+
 @dataclass
 class Ended:
-    """A step that ended at the unknowns y of a problem: over h (s), from the point and with the velocities before to
-    the kinematics after; resisting: the terms that depend on velocities, dead: the force (dofs,) N of stiffness
-    damping."""
+    """A step that ended at the unknowns y with the kinematics `after`."""
 
-    problem: Problem
+    forces: StepForces
     y: PETSc.Vec
-    h: float
-    start: Point
-    before: Kinematics
     after: Kinematics
     prediction: Prediction
-    resisting: list[Term]
-    stiffness: float = 0.0
-    stress: np.ndarray | None = None
 
 
 @dataclass
 class Books:
     """Energies now and what has been dissipated and worked so far (J), by name: those of TOTALS add up. `error`: by how
-    much the books do not close."""
+    much the books do not close; most: that loads and motions, from the start on, have ever let the shell have."""
 
     problem: Problem
     totals: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOTALS, 0.0))
     error: float = 0.0
+    most: float = 0.0
+
+    @property
+    def created(self) -> float:
+        """What came from nowhere, by the scheme and by residuals (J)."""
+        return self.error - self.totals["scheme_dissipated"]
 
     def kinetic(self, k: Kinematics) -> float:
         """J."""
@@ -67,35 +75,40 @@ class Books:
         both = self.problem.comm.allreduce(both)
         return both[:3], both[3:]
 
-    def enter(self, step: Ended) -> None:
-        """Books a step."""
-        problem, at = step.problem, step.problem.point(step.y)
-        way = 0.5 * step.h * (step.before.velocity + step.after.velocity)
+    def entries(self, step: Ended) -> dict[str, float]:
+        """What a step adds to the totals, and to the error (J)."""
+        forces, before = step.forces, step.forces.before
+        problem, start = forces.problem, forces.start
+        at = problem.point(step.y)
+        way = 0.5 * forces.h * (before.velocity + step.after.velocity)
         inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
-        elastic, loads = problem.elastic.forces(at), problem.loads.forces(at)
-        damping = sum((term.forces(at) for term in step.resisting), np.zeros_like(loads))
-        if step.stress is not None:
-            damping += step.stiffness * (elastic - step.stress)
+        elastic, loads = forces.elastic.forces(at), forces.loads(at)
+        damping = forces.resistance(at, step.prediction)
+        wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         work = {
             name: self._work(force, way)
             for name, force in (("elastic", elastic), ("loads", loads), ("damping", damping))
         }
         moved = self._sum((inertia * way).sum(axis=1))
-        gained = self.kinetic(step.after) - self.kinetic(step.before)
-        stored = self._elastic(at) - self._elastic(step.start)
+        gained = self.kinetic(step.after) - self.kinetic(before)
+        stored = self._elastic(at) - self._elastic(start)
         given, potential = work["loads"], -work["loads"]
         if problem.conservative:
-            late = replace(step.start, time=at.time)
-            given = self._loads(late) - self._loads(step.start)
+            late = replace(start, time=at.time)
+            given = self._loads(late) - self._loads(start)
             potential = self._loads(at) - self._loads(late)
         contact = dict.fromkeys(("friction", "impact", "obstacles", "total"), 0.0)
         if problem.contact:
-            contact = contact_work(problem, step.y, way, step.before.positions)
+            contact = contact_work(problem, step.y, way, before.positions)
         missed = self._residual_work(step, way, inertia, elastic + loads + damping)
-        entries = {
+        lost = sum(self.totals[name] for name in LOST)
+        return {
+            "error": missed,
+            "present": self.kinetic(step.after) + self._elastic(at) + lost,
             "friction_dissipated": contact["friction"],
             "impact_dissipated": contact["impact"],
-            "damping_dissipated": -work["damping"],
+            "damping_dissipated": wind - work["damping"],
+            "wind_work": wind,
             "scheme_dissipated": (moved - gained)
             - (work["elastic"] + stored)
             - (work["loads"] + potential if problem.conservative else 0.0),
@@ -103,13 +116,22 @@ class Books:
             "obstacles_work": contact["obstacles"],
             "loads_work": given,
         }
-        for name, value in entries.items():
-            self.totals[name] += value
-        self.error += missed
+
+    def enter(self, entries: dict[str, float]) -> None:
+        """Books a step's."""
+        for name in self.totals:
+            self.totals[name] += entries[name]
+        self.error += entries["error"]
+        self.most = self.let(entries)
+
+    def let(self, entries: dict[str, float]) -> float:
+        """`most` after a step with these entries (J)."""
+        lost = sum(entries[name] for name in LOST)
+        return max(self.most, entries["present"] + lost - self.created - created(entries))
 
     def _residual_work(self, step: Ended, way: np.ndarray, inertia: np.ndarray, forces: np.ndarray) -> float:
         """Of the residual over the way of what is free (J)."""
-        problem = step.problem
+        problem = step.forces.problem
         reactions = np.zeros_like(inertia)
         if problem.contact:
             reactions = problem.contact.force(step.after.positions, problem.time, frozen=False)

@@ -12,7 +12,7 @@ from voile.solver.stepping.books import TOTALS, Books
 from voile.solver.stepping.schemes import Before, Kinematics
 from voile.solver.stepping.time_path import TimePath
 
-FIELDS = ("positions", "velocity", "acceleration", "driven", "filtered")
+FIELDS = ("positions", "velocity", "acceleration", "filtered")
 COUNTS = ("factorisations", "solves", "iterations")
 
 
@@ -26,7 +26,7 @@ def packed(problem: Problem, path: TimePath) -> dict[str, np.ndarray]:
     if k.before:
         found |= {"before.positions": k.before.positions, "before.velocity": k.before.velocity}
         found["before.step"] = np.array(k.before.step)
-    found["scalars"] = np.array([path.time, path.length, path.largest, path.books.error])
+    found["scalars"] = np.array([path.time, path.length, path.largest, path.books.error, path.books.most])
     found["totals"] = np.array([path.books.totals[name] for name in TOTALS])
     found["counts"] = np.array([*(getattr(path.counts, name) for name in COUNTS), path.attempts])
     found["methods"] = np.frombuffer("\n".join(path.methods).encode(), dtype=np.uint8)
@@ -50,7 +50,7 @@ def unpacked(problem: Problem, found: dict[str, np.ndarray]) -> TimePath:
     books = Books(problem, dict(zip(TOTALS, found["totals"].tolist(), strict=True)))
     known: dict[str, Any] = {name: found[name] for name in FIELDS}
     path = TimePath(y, Kinematics(**known, before=before), books)
-    path.time, path.length, path.largest, books.error = found["scalars"].tolist()
+    path.time, path.length, path.largest, books.error, books.most = found["scalars"].tolist()
     path.pushed = found["pushed"]
     path.methods = found["methods"].tobytes().decode().split("\n") if len(found["methods"]) else []
     *counts, path.attempts = found["counts"].tolist()

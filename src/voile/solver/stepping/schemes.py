@@ -1,8 +1,10 @@
 """Time schemes: what each makes of a step, as an inertia term and an update.
 
-A step from t_n over h solves coefficient M (x - predicted) = F(x) + r for the positions x at its end, r the contacts'
-reactions; then v = rate (x - still) and a = coefficient (x - predicted). Where a contact bears or a support moves,
-velocities jump: there every scheme is implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
+A step from t_n over h solves coefficient M (x - predicted) = F + r for the positions x at its end, r the contacts'
+reactions; then v = rate (x - still) and a = coefficient (x - predicted). F is (1 - early) times the forces at the end
+and `early` times those at the start; of the elastic force, twice `early` its mean over the way instead (see
+problem.mean), which neither gains nor loses energy. Where a contact bears or a support moves, velocities jump: there
+every scheme moves as implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
 """
 
 from collections.abc import Callable
@@ -13,13 +15,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Of the local vertices, (n, 3) each: positions (m), velocity (m/s), acceleration (m/s^2) at a time; driven: the
-    acceleration by all forces but contact's; filtered: that of generalised-alpha; before: the step before."""
+    """Of the local vertices, (n, 3) each: positions (m), velocity (m/s), acceleration (m/s^2) by the forces of the last
+    step; filtered: that of generalised-alpha; before: the step before."""
 
     positions: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
-    driven: np.ndarray
     filtered: np.ndarray
     before: "Before | None" = None
 
@@ -35,13 +36,14 @@ class Before:
 
 @dataclass(frozen=True)
 class Prediction:
-    """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity.
-    Coefficient and rate: one, or (n, 3)."""
+    """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity;
+    early: share of the forces at the step's start. Coefficient, rate and early: one, or (n, 3)."""
 
     coefficient: float | np.ndarray
     predicted: np.ndarray
     rate: float | np.ndarray
     still: np.ndarray
+    early: float | np.ndarray = 0.0
 
     def where(self, chosen: np.ndarray, other: "Prediction") -> "Prediction":
         """The other one for the chosen (n, 3) components."""
@@ -50,11 +52,19 @@ class Prediction:
             np.where(chosen, other.predicted, self.predicted),
             np.where(chosen, other.rate, self.rate),
             np.where(chosen, other.still, self.still),
+            np.where(chosen, other.early, self.early),
         )
 
     def velocity(self, x: np.ndarray) -> np.ndarray:
         """(n, 3) m/s at the step's end, if that is at x."""
         return self.rate * (x - self.still)
+
+    def flow(self, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rate and `still` (n, 3) of the mean velocity in the step, (1 - early) times that at its end and `early` times
+        `before` (n, 3) m/s."""
+        rate = np.broadcast_to((1.0 - np.asarray(self.early)) * self.rate, before.shape)
+        end = (1.0 - np.asarray(self.early)) * self.rate * self.still
+        return rate, (end - self.early * before) / rate
 
     def acceleration(self, x: np.ndarray) -> np.ndarray:
         """(n, 3) m/s^2."""
@@ -66,7 +76,7 @@ class Scheme:
 
     @property
     def memory(self) -> bool:
-        """Whether its first step needs the acceleration at the start."""
+        """Whether its first step needs the acceleration, or the director angles, at the start."""
         return False
 
     @property
@@ -74,14 +84,19 @@ class Scheme:
         """Of its error in the length of steps, without contact."""
         return 2
 
+    @property
+    def early(self) -> float:
+        """Share of the forces at a step's start; 0 to 1/2."""
+        return 0.0
+
     def predict(self, k: Kinematics, h: float) -> Prediction:
         """The step's inertia."""
         raise NotImplementedError
 
-    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray, push: np.ndarray) -> Kinematics:
-        """After the step to positions x (n, 3); push (n, 3) m/s^2: contact's reactions over the masses."""
-        acceleration, before = p.acceleration(x), Before(k.positions, k.velocity, h)
-        return Kinematics(x, p.velocity(x), acceleration, acceleration - push, acceleration, before)
+    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray) -> Kinematics:
+        """After the step to positions x (n, 3)."""
+        a = p.acceleration(x)
+        return Kinematics(x, p.velocity(x), a, a, Before(k.positions, k.velocity, h))
 
 
 @dataclass(frozen=True)
@@ -113,8 +128,8 @@ class Bdf2(Scheme):
 
 @dataclass(frozen=True)
 class GeneralizedAlpha(Scheme):
-    """Second order with the balance at the step's end (Arnold & Bruels 2007); spectral_radius (0 to 1) of its highest
-    frequencies. The filtered acceleration b obeys (1 - alpha_m) b + alpha_m b_n = (1 - alpha_f) a + alpha_f a_n."""
+    """Second order (Chung & Hulbert 1993), its forces means over the step; spectral_radius (0 to 1) of its highest
+    frequencies. The filtered acceleration b obeys (1 - alpha_m) b + alpha_m b_n = a."""
 
     spectral_radius: float
 
@@ -123,33 +138,38 @@ class GeneralizedAlpha(Scheme):
         return True
 
     @property
-    def _alphas(self) -> tuple[float, float, float, float]:
-        """alpha_m, alpha_f, beta, gamma (Chung & Hulbert 1993)."""
+    def early(self) -> float:
+        return self.spectral_radius / (self.spectral_radius + 1.0)
+
+    @property
+    def _alphas(self) -> tuple[float, float, float]:
+        """alpha_m, beta, gamma."""
         rho = self.spectral_radius
-        m, f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
-        gamma = 0.5 + f - m
-        return m, f, 0.25 * (gamma + 0.5) ** 2, gamma
+        m = (2.0 * rho - 1.0) / (rho + 1.0)
+        gamma = 0.5 + self.early - m
+        return m, 0.25 * (gamma + 0.5) ** 2, gamma
 
     def predict(self, k: Kinematics, h: float) -> Prediction:
-        m, f, beta, gamma = self._alphas
-        coefficient = (1.0 - m) / ((1.0 - f) * beta * h**2)
+        m, beta, gamma = self._alphas
         explicit = k.positions + h * k.velocity + h**2 * (0.5 - beta) * k.filtered
-        shift = beta * h**2 / (1.0 - m) * (f * k.acceleration - m * k.filtered)
+        shift = beta * h**2 * m / (1.0 - m) * k.filtered
         rate = gamma / (beta * h)
         steady = k.velocity + h * (1.0 - gamma) * k.filtered
-        return Prediction(coefficient, explicit + shift, rate, explicit - steady / rate)
+        return Prediction(
+            (1.0 - m) / (beta * h**2), explicit - shift, rate, explicit - steady / rate, self.early
+        )
 
-    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray, push: np.ndarray) -> Kinematics:
-        m, f, _, _ = self._alphas
-        acceleration = p.acceleration(x)
-        filtered = ((1.0 - f) * acceleration + f * k.acceleration - m * k.filtered) / (1.0 - m)
-        return replace(super().update(k, h, p, x, push), filtered=filtered)
+    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray) -> Kinematics:
+        m, _, _ = self._alphas
+        filtered = (p.acceleration(x) - m * k.filtered) / (1.0 - m)
+        return replace(super().update(k, h, p, x), filtered=filtered)
 
 
 @dataclass(frozen=True)
 class MoreauJean(Scheme):
-    """M (v - v_n) = h (theta F + (1 - theta) F_n) + impulses of contact; x - x_n = h (theta v + (1 - theta) v_n)
-    (Moreau 1988; Jean 1999). First order, second for theta = 1/2 without contact."""
+    """M (v - v_n) = h F + impulses of contact, F = theta F_n+1 + (1 - theta) F_n or a mean over the step;
+    x - x_n = h (theta v + (1 - theta) v_n) (Moreau 1988; Jean 1999). First order, second for theta = 1/2 without
+    contact, where it keeps the energy."""
 
     theta: float
 
@@ -161,12 +181,16 @@ class MoreauJean(Scheme):
     def memory(self) -> bool:
         return self.theta < 1.0
 
+    @property
+    def early(self) -> float:
+        return 1.0 - self.theta
+
     def predict(self, k: Kinematics, h: float) -> Prediction:
         theta = self.theta
-        coefficient = 1.0 / (h * theta) ** 2
-        predicted = k.positions + h * k.velocity + (1.0 - theta) / theta / coefficient * k.driven
         still = k.positions + h * (1.0 - theta) * k.velocity
-        return Prediction(coefficient, predicted, 1.0 / (h * theta), still)
+        return Prediction(
+            1.0 / (theta * h**2), k.positions + h * k.velocity, 1.0 / (h * theta), still, self.early
+        )
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.contact import contact_report
-from voile.problem.damping import Air, Damping, KelvinVoigt, Viscous, Wind
-from voile.problem.inertia import Inertia
+from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, least_area, slow_rate
-from voile.problem.terms import Term
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
 from voile.solver.stepping.books import Books, Ended
+from voile.solver.stepping.creation import Creation
+from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
 
@@ -50,7 +50,8 @@ class Options:
 class TimeOptions:
     """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
     shell; damping: Rayleigh's; accuracy: local error of a step in sizes of the shell, 0: all steps are as long as
-    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never."""
+    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never; advice: what helps where energy comes
+    from nowhere."""
 
     scheme: Scheme
     time_step: float
@@ -60,6 +61,7 @@ class TimeOptions:
     damping: Damping = Damping()
     accuracy: float = 0.0
     stop_at_rest: float = 0.0
+    advice: str = "shorter steps"
 
 
 class StepSolver(Protocol):
@@ -145,7 +147,7 @@ def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Ki
     known."""
     x, none = problem.positions(y), np.zeros_like(velocity)
     moving = problem.motion(field_vector(problem, velocity))
-    return Kinematics(x, moving, none, none, none)
+    return Kinematics(x, moving, none, none)
 
 
 class Stepper:
@@ -161,6 +163,8 @@ class Stepper:
         self.mass = _mean_mass(problem)
         problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
+        self.finest = self.options.finest * options.time_step  # s
+        self.creation = Creation(problem)
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
         laws: list = [*problem.shell.load_laws.values()] if problem.shell else []
@@ -183,8 +187,10 @@ class Stepper:
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
-                if path.length < self.options.smallest * asked.time_step:
-                    path.reason = f"{outcome.reason}; at time {path.time:g} s{self._blame()}"
+                hopeless = path.length < self.options.smallest * asked.time_step
+                if hopeless or self.creation.nonsense:
+                    blame = f"; {asked.advice} help" if self.creation.nonsense else self._blame()
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s{blame}"
                     return
                 continue
             grown = self.wish or max(path.length, self.options.longer * h)
@@ -222,8 +228,7 @@ class Stepper:
         trial = self.options.trial * self.asked.time_step
         done, _ = self._step(ImplicitEuler(), trial, trial)
         if done is not None:
-            a = self.k.acceleration
-            k = replace(k, acceleration=a, driven=self.k.driven, filtered=a)
+            k = replace(k, acceleration=self.k.acceleration, filtered=self.k.acceleration)
         self.problem = self.problem.at(0.0)
         self.problem.restore(self.y, start)
         self.k = k
@@ -232,14 +237,12 @@ class Stepper:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
         y, k = self.y, self.k
         start, before = self.problem.save(y), self.solver.counts.iterations
-        began = self.problem.point(y)
-        stress = self.problem.elastic.forces(began) if self.damping.stiffness else None
         problem = self.problem.at(end)
+        forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
         self._begin_contact(problem, scheme, start.time, h)
         self._guess(problem, scheme.predict(k, h))
-        with problem.elastic.stiffened(1.0 + self.damping.stiffness / h):
-            prediction, step, wanted, outcome = self._solve(problem, scheme, h, stress)
-            residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
+        prediction, step, wanted, outcome = self._solve(forces)
+        residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
@@ -247,17 +250,18 @@ class Stepper:
             problem.restore(y, start)
             return None, outcome
         x = problem.positions(y)
+        after = scheme.update(k, h, prediction, x)
+        entries = self.path.books.entries(Ended(forces, y, after, prediction))
         refusal = self._refusal(problem, prediction, start.time, h, x)
+        if not refusal:
+            refusal = self.creation.refusal(self.path.books, entries, h <= self.finest)
         if refusal:
             problem.restore(y, start)
             return None, Outcome(False, outcome.method, refusal)
-        push = _push(problem, x)
-        self.path.pushed = push.any(axis=1)
-        self.problem, self.k = problem, scheme.update(k, h, prediction, x, push)
+        self.path.pushed = _pushed(problem, x)
+        self.problem, self.k = problem, after
         if scheme is self.asked.scheme:
-            resisting = self._resistance(problem, prediction, k.positions)
-            shares = self.damping.stiffness / h, stress
-            self.path.books.enter(Ended(problem, y, h, began, k, self.k, prediction, resisting, *shares))
+            self.path.books.enter(entries)
         done = TimeStep(
             problem.time,
             h,
@@ -277,7 +281,8 @@ class Stepper:
         if problem.contact:
             crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
             if not problem.everywhere(not crosses.any()):
-                return "a step leads through an obstacle"
+                blurred = [f"; {o.name}: {o.blurred}" for o in problem.contact.obstacles if o.blurred]
+                return f"a step leads through an obstacle{''.join(blurred)}"
         if not asked.accuracy:
             return ""
         jump = 0.5 * h * (p.velocity(x) - k.velocity)
@@ -289,43 +294,25 @@ class Stepper:
         self.wish = h * min(
             max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
         )
-        finest = h <= options.finest * asked.time_step
-        return "" if error <= 1.0 or finest else "the local error of a step is too large"
+        return "" if error <= 1.0 or h <= self.finest else "the local error of a step is too large"
 
-    def _solve(
-        self, problem: Problem, scheme: Scheme, h: float, stress: np.ndarray | None
-    ) -> tuple[Prediction, Problem, float, Outcome]:
+    def _solve(self, forces: StepForces) -> tuple[Prediction, Problem, float, Outcome]:
         """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
         prediction, problem, tolerance (N) and outcome."""
-        k, wanted = self.k, 0.0
-        prediction, euler = scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        k, h, problem, wanted = self.k, forces.h, forces.problem, 0.0
+        prediction, euler = forces.scheme.predict(k, h), ImplicitEuler().predict(k, h)
         bearing = self._bearing(problem, self.driven)
         while True:
             prediction = prediction.where(bearing, euler)
-            inertia = Inertia(
-                problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted
-            )
             if problem.contact:
                 problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
-            step = problem.with_terms(inertia, *self._resistance(problem, prediction, k.positions))
-            if stress is not None:
-                step = step.with_terms(KelvinVoigt(problem.elastic, self.damping.stiffness / h, stress))
-            wanted = wanted or self._wanted(problem, inertia)
+            step = forces.balance(prediction)
+            wanted = wanted or self._wanted(step, prediction)
             outcome = self.solver.solve(step, self.y, wanted)
             now = self._bearing(problem, bearing)
             if not outcome.converged or problem.everywhere(np.array_equal(now, bearing)):
                 return prediction, step, wanted, outcome
             bearing = now
-
-    def _resistance(self, problem: Problem, prediction: Prediction, x: np.ndarray) -> list[Term]:
-        """What depends on velocities, in a step from positions x (n, 3)."""
-        terms = list[Term]()
-        rate, still = np.broadcast_to(prediction.rate, x.shape), prediction.still
-        if self.asked.air:
-            terms.append(Wind.at(problem.part, self.asked.air, x, rate, still))
-        if self.damping.mass:
-            terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
-        return terms
 
     def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
         """Slip counts from here, impacts rebound."""
@@ -355,15 +342,17 @@ class Stepper:
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
 
-    def _wanted(self, problem: Problem, inertia: Inertia) -> float:
+    def _wanted(self, problem: Problem, prediction: Prediction) -> float:
         """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
         that the guesses have met; no less than the round-off of the inertia."""
-        loads = problem.load_norm(self.y)
+        loads = self.problem.at(problem.time).load_norm(self.y)
         if not loads:
             f = problem.create_vector()
             problem.residual(self.y, f)
             loads = self.path.largest = max(self.path.largest, f.norm(), force_floor(problem))
-        heaviest = problem.norm((inertia.coefficient * inertia.mass[:, None])[problem.own].ravel())
+        heaviest = problem.norm(
+            (prediction.coefficient * problem.vertex_mass()[:, None])[problem.own].ravel()
+        )
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
 
@@ -375,13 +364,11 @@ def _mean_mass(problem: Problem) -> float:
     return float(total[0] / total[1])
 
 
-def _push(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """(local vertices, 3) m/s^2: contact's reactions over the masses."""
+def _pushed(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """(local vertices,) marks those on which something bears at positions x (n, 3)."""
     if not problem.contact:
-        return np.zeros_like(x)
-    mass = problem.vertex_mass()[:, None]
-    force = problem.contact.force(x, problem.time, frozen=False)
-    return np.divide(force, mass, out=np.zeros_like(force), where=mass > 0.0)
+        return np.zeros(len(x), dtype=bool)
+    return problem.contact.force(x, problem.time, frozen=False).any(axis=1)
 
 
 def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:

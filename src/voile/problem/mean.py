@@ -1,0 +1,97 @@
+"""The mean of the elastic force along the way of a step in time.
+
+The mean over x_s = x_0 + s (x - x_0), 0 < s <= 1, works exactly minus the change of the elastic energy (the average
+vector field method of Quispel & McLaren 2008), so a scheme that uses it can neither gain nor lose elastic energy,
+however stiff the shell is. It has a potential in x, the sum of weight/s E(x_s) over a quadrature's places s.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from voile import _kernels
+from voile.problem.elastic import Elastic
+from voile.problem.terms import Point, Term
+
+Nodes = tuple[tuple[float, float], ...]  # places in (0, 1] along the way, with weights
+END: Nodes = ((1.0, 1.0),)
+
+
+def mean_nodes(share: float) -> Nodes:
+    """Gauss' quadrature with two nodes, exact for cubics (the force of a membrane), of `share` times the mean over the
+    way plus 1 - share times the value at its end."""
+    if not share:
+        return END
+    m1, m2, m3 = (share / (k + 1.0) + 1.0 - share for k in (1, 2, 3))
+    variance = m2 - m1**2
+    other = (m3 - 2.0 * m1 * m2 + m1**3) / variance
+    jacobi = np.array([[m1, np.sqrt(variance)], [np.sqrt(variance), other]])
+    places, vectors = np.linalg.eigh(jacobi)  # Golub & Welsch 1969
+    return tuple(zip(places.tolist(), (vectors[0] ** 2).tolist(), strict=True))
+
+
+@dataclass
+class MeanElastic(Term):
+    """Of `elastic` along the way from the point `start`. A node at the end (s = 1) is elastic's own kernel, so that end
+    moments, which turn its triangles, find it; the others have one each, for it keeps stresses."""
+
+    elastic: Elastic
+    start: Point
+    nodes: Nodes
+
+    @property
+    def stiffness(self) -> float:
+        """Share of the elastic Hessian in its own, where that is the same everywhere."""
+        return sum(s * weight for s, weight in self.nodes)
+
+    def energies(self, at: Point) -> dict[str, float]:
+        total = {"stretching": 0.0, "bending": 0.0}
+        for elastic, there, s, weight in self._places(at):
+            for name, value in elastic.energies(there).items():
+                total[name] += weight / s * value
+        return total
+
+    def forces(self, at: Point) -> np.ndarray:
+        parts = [weight * elastic.forces(there) for elastic, there, _, weight in self._places(at) if weight]
+        return np.sum(parts, axis=0)
+
+    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+        try:
+            for elastic, there, s, weight in self._places(at):
+                with elastic.stiffened(s * weight):
+                    elastic.scatter(there, kind, scatter)
+                scatter.adding = True
+        finally:
+            scatter.adding = False
+
+    def predict(self, at: Point, step: np.ndarray) -> None:
+        for elastic, there, s, weight in self._places(at):
+            with elastic.stiffened(s * weight):
+                elastic.predict(there, s * step)
+
+    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+        """What the shape at the end admits, and those on the way."""
+        most = self.elastic.longest_step(at, step, most)
+        for elastic, there, s, weight in self._places(at):
+            if s < 1.0 and weight:
+                most = elastic.longest_step(there, s * step, most)
+        return most
+
+    def _places(self, at: Point) -> Iterator[tuple[Elastic, Point, float, float]]:
+        """(elastic, point, s, weight) of each node."""
+        start = self.start
+        origin = at.displacement - at.u
+        for number, (s, weight) in enumerate(self.nodes):
+            if s == 1.0:
+                yield self.elastic, at, s, weight
+                continue
+            displacement = start.displacement + s * (at.displacement - start.displacement)
+            there = replace(
+                at,
+                u=displacement - origin,
+                phi=start.phi + s * (at.phi - start.phi),
+                displacement=displacement,
+                positions=start.positions + s * (at.positions - start.positions),
+            )
+            yield self.elastic.twin(number), there, s, weight

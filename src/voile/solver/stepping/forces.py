@@ -1,0 +1,96 @@
+"""The forces of a step in time, and its problem: what balances inertia."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voile.problem.damping import Air, Damping, Viscous, Wind
+from voile.problem.inertia import Dead, Inertia
+from voile.problem.mean import END, MeanElastic, Nodes, mean_nodes
+from voile.problem.problem import Problem
+from voile.problem.terms import Point, Term
+from voile.solver.stepping.schemes import Kinematics, Prediction, Scheme
+
+
+@dataclass
+class StepForces:
+    """Of a step of `scheme` over h (s) from the point `start`, with the kinematics before; problem: at the step's end.
+
+    Stiffness damping acts on the elastic force's mean rate over the step: share (F(x) - F_n), share = b / h.
+    """
+
+    problem: Problem
+    scheme: Scheme
+    h: float
+    start: Point
+    before: Kinematics
+    damping: Damping
+    air: Air | None
+
+    def __post_init__(self) -> None:
+        problem, early = self.problem, self.scheme.early
+        nodes = mean_nodes(2.0 * early)
+        self.elastic = self._mean(nodes)
+        self.share, self.lag = self.damping.stiffness / self.h, np.zeros(problem.part.matrix.shape[0])
+        self.late, dead = problem.loads, self.lag
+        self.early = early * problem.loads.forces(self.start) if early else dead
+        if early:
+            self.late, dead = problem.loads.scaled(1.0 - early), dead + self.early
+        damped = self.elastic
+        if self.share:
+            self.lag = self.share * problem.elastic.forces(self.start)
+            damped, dead = self._mean(_with_end(nodes, self.share)), dead - self.lag
+        if early and problem.loads.moments:
+            damped = self._mean(_with_end(nodes, self.share))
+        self.given = problem.with_means(damped, self.late, *([Dead(dead, self._own())] if dead.any() else []))
+
+    def balance(self, prediction: Prediction) -> Problem:
+        """The step's problem."""
+        problem = self.problem
+        inertia = Inertia(problem.vertex_mass(), problem.own, prediction.coefficient, prediction.predicted)
+        return self.given.with_terms(inertia, *self.resisting(prediction))
+
+    def resisting(self, prediction: Prediction) -> list[Term]:
+        """What depends on velocities: the air and mass damping."""
+        problem, k, terms = self.problem, self.before, list[Term]()
+        rate, still = prediction.flow(k.velocity)
+        if self.air:
+            terms.append(Wind.at(problem.part, self.air, k.positions, rate, still))
+        if self.damping.mass:
+            terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
+        return terms
+
+    def loads(self, at: Point) -> np.ndarray:
+        """(dofs,) N, where the step ends at a point."""
+        return self.late.forces(at) + self.early
+
+    def resistance(self, at: Point, prediction: Prediction) -> np.ndarray:
+        """(dofs,) N of the air and of all damping."""
+        total = sum((term.forces(at) for term in self.resisting(prediction)), np.zeros_like(self.lag))
+        if self.share:
+            total += self.share * self.problem.elastic.forces(at) - self.lag
+        return total
+
+    def wind_work(self, at: Point, prediction: Prediction) -> float:
+        """What the moving air works on this rank (J)."""
+        wind = [term for term in self.resisting(prediction) if isinstance(term, Wind)]
+        return sum(term.given(at, self.h) for term in wind)
+
+    def _mean(self, nodes: Nodes) -> Term:
+        elastic = self.problem.elastic
+        return elastic if nodes == END else MeanElastic(elastic, self.start, nodes)
+
+    def _own(self) -> np.ndarray:
+        """(dofs,) marks what is counted on this rank."""
+        part, own = self.problem.part, np.zeros(len(self.lag), dtype=bool)
+        count = len(own) - len(part.edge)
+        own[:count] = self.problem.own_dofs()
+        own[count + part.owned_edges] = True
+        return own
+
+
+def _with_end(nodes: Nodes, weight: float) -> Nodes:
+    """Nodes with another one at the end."""
+    if nodes == END:
+        return ((1.0, 1.0 + weight),)
+    return (*nodes, (1.0, weight))
