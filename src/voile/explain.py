@@ -86,13 +86,27 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ("nested levels", *_nested(scene, model)),
         (
             "mass",
-            scene.scene.task == "dynamics",
+            scene.scene.task == "dynamics" or _vibrates(scene),
             f"inertia of the vertices, {weight(shell):.4g} kg; directors follow at every instant"
-            if scene.scene.task == "dynamics"
+            if scene.scene.task == "dynamics" or _vibrates(scene)
             else f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only",
         ),
     ]
     return rows
+
+
+def _vibrates(scene: Scene) -> bool:
+    return scene.scene.task == "modes" and not scene.modes.buckling
+
+
+def _modes(scene: Scene) -> str:
+    """How modes are found."""
+    spec = scene.modes
+    what = "lowest load factors of buckling" if spec.buckling else "lowest natural frequencies"
+    return (
+        f"{spec.count} {what} about the equilibrium at load factor {spec.about:g}: SLEPc's Krylov-Schur, "
+        "shift-and-invert by MUMPS LDL^T, counted by inertia; the equilibrium by "
+    )
 
 
 def supports_move(shell: Shell) -> bool:
@@ -117,7 +131,7 @@ def _solver(scene: Scene, model: Model) -> str:
         adjoint = f"; {then[method]} where the target is not stable" if method in then else ""
         further = {"panels": "; then flat panels in TAO", "constraint": "; then developable in TAO"}
         return f"{search}{adjoint}{further.get(str(scene.inverse.developable), '')}; two simulations as proof"
-    search = ""
+    search = _modes(scene) if scene.scene.task == "modes" else ""
     if scene.scene.task == "inverse":
         search = f"Gauss-Newton in {', '.join(scene.inverse.estimate)}, whose simulations are: "
     if not (model.obstacles or scene.contact.self_contact):
@@ -131,7 +145,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
     shell, options, statics = model.shell, Options(), scene.statics
     moves = supports_move(shell) or any(body.moves for body in model.obstacles)
     against = {
-        f"task = {scene.scene.task!r}": scene.scene.task != "statics",
+        f"task = {scene.scene.task!r}": scene.scene.task not in ("statics", "modes"),
         "statics.nested is false": not statics.nested,
         "statics.load_steps is given": statics.load_steps is not None,
         "supports or obstacles move": moves,

@@ -15,7 +15,7 @@ from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
-from voile.problem.supports import check_supports
+from voile.problem.supports import check_supports, free_motions
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
 from voile.scene.moves import Move, read_path
@@ -97,7 +97,9 @@ def build_model(scene: Scene) -> Model:
             deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
             notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
-    if scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
+    if scene.scene.task == "modes":
+        _check_modes(scene, shell, bodies)
+    elif scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
@@ -126,6 +128,28 @@ def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
     loads = (shell.gravity, shell.pressure, shell.force, shell.moment, shell.motion)
     loaded = any(load is not None and np.any(load) for load in loads)
     return loaded or any(body.moves for body in bodies)
+
+
+def _check_modes(scene: Scene, shell: Shell, bodies: list[Obstacle]) -> None:
+    """Raises InputError where a shell has no equilibrium to vibrate about, or nothing to buckle. A free one that
+    nothing loads has rigid modes."""
+    loaded = _pressed(shell, bodies)
+    if scene.modes.buckling:
+        if not loaded:
+            raise InputError(
+                f"{scene.path}: modes.buckling = true without a load; allowed: with loads.gravity, pressure, force or "
+                "fix.move"
+            )
+        if free_motions(shell).shape[2]:
+            raise InputError(
+                f"{scene.path}: fix: modes.buckling = true needs supports that hold the shell, without its loads, "
+                "against all rigid motions"
+            )
+    elif loaded and not bodies:
+        try:
+            check_supports(shell)
+        except InputError as error:
+            raise InputError(f"{error}, or loads.gravity = [0, 0, 0] and no other load, to free it") from None
 
 
 def _sunk(bodies: list[Obstacle], shell: Shell, offset: float, tolerance: float) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post import contact
+from voile.post import contact, swing
 from voile.post.camera import look, outermost, parse_scene, upright
 from voile.post.quantities import quantity
 from voile.post.reel import check_film, write_film
@@ -28,6 +28,7 @@ from voile.post.render import (
 from voile.results import Result, read_result
 
 IN_TIME, ALONG_LOAD = 25.0, 5.0  # frames a second: smooth; slow enough to see each load step
+SWINGS = 2.0  # s a period of a mode takes in a film
 SCALED_BY = 40  # steps, evenly over the film, whose values choose its colour scale
 PATHS = {
     "dynamics": "time",
@@ -59,7 +60,8 @@ def animate(
     """Draw the steps of the result `path`, as `render` does one, into a film (.mp4, .gif or .webp).
 
     In time, frames show the stored step nearest to theirs: fps frames (25 by default) are `speed` seconds of the run
-    (1 by default, real speed). Along a load path every stored step is a frame, 5 a second by default.
+    (1 by default, real speed). Along a load path every stored step is a frame, 5 a second by default. A mode
+    (`mode_000`) swings once, in 2 s whatever its frequency.
     on_frame: told how many frames are drawn of how many.
     Raises InputError for results without a path of several steps, and for what `render` refuses.
     """
@@ -67,10 +69,12 @@ def animate(
     check_size(size)
     with read_result(path) as result:
         scene = parse_scene(result.scene_text)
+        check_field(result, field)
+        if swing.is_mode(field):
+            return _swing(result, scene, out, field, fps or IN_TIME, view, size, on_frame)
         along = _followed(result, scene)
         fps = (IN_TIME if along == "time" else ALONG_LOAD) if fps is None else fps
         check_film(out, fps)
-        check_field(result, field)
         steps = _steps_in_time(result, fps, speed) if along == "time" else _steps_along_load(result, speed)
         shown = np.unique(steps)
         titles = _titles(result, scene, shown, along, speed)
@@ -80,6 +84,30 @@ def animate(
         finally:
             picture.close()
         return Film(out, len(steps), fps, result.ended)
+
+
+def _swing(
+    result: Result,
+    scene: dict[str, Any],
+    out: Path,
+    field: str,
+    fps: float,
+    view: str | tuple[float, float] | None,
+    size: tuple[int, int],
+    on_frame: Callable[[int, int], None] | None,
+) -> Film:
+    """The film of one period of a mode."""
+    check_film(out, fps)
+    frames = max(round(SWINGS * fps), 2)
+    name = scene.get("scene", {}).get("name", "")
+    title = (f"{name}    " if name else "") + swing.figure(result, field)
+    shown = np.arange(frames)
+    picture = _Swinging(result, shown, dict.fromkeys(range(frames), title), field, view, size, upright(scene))
+    try:
+        write_film(out, picture, frames, fps, size, on_frame)
+    finally:
+        picture.close()
+    return Film(out, frames, fps, result.ended)
 
 
 def _followed(result: Result, scene: dict[str, Any]) -> str:
@@ -150,12 +178,15 @@ class _Picture:
     ):
         self.result, self.titles, self.field, self.size = result, titles, field, size
         everything = [
-            outermost(contact.framed(result.points(step), contact.surfaces(result, step))) for step in shown
+            outermost(contact.framed(self._points(step), contact.surfaces(result, self._stored(step))))
+            for step in shown
         ]
         self.camera = look(np.concatenate(everything), up, view, size)
         some = shown[np.unique(np.linspace(0, len(shown) - 1, SCALED_BY).round().astype(int))]
-        self.colours = colour_scale(np.concatenate([magnitude(quantity(result, field, k)) for k in some]))
-        self.marks = contact.turning_marks(result, shown)
+        self.colours = colour_scale(
+            np.concatenate([magnitude(quantity(result, field, self._stored(k))) for k in some])
+        )
+        self.marks = contact.turning_marks(result, np.unique([self._stored(k) for k in shown]))
         self.plotter = open_plotter(size)
         self.last: tuple[int, np.ndarray] | None = None
 
@@ -169,14 +200,32 @@ class _Picture:
         plotter, result = self.plotter, self.result
         plotter.clear_actors()
         plotter.scalar_bars.clear()
-        points, shown = result.points(step), quantity(result, self.field, step)
-        contact.draw_bodies(plotter, contact.surfaces(result, step), self.marks)
+        points, shown = self._points(step), quantity(result, self.field, self._stored(step))
+        contact.draw_bodies(plotter, contact.surfaces(result, self._stored(step)), self.marks)
         draw_shape(plotter, points, result.triangles, shown, self.size, self.colours)
         if self.field in contact.ARROWS and "reaction" in result.point_fields:
-            contact.draw_reactions(plotter, points, result.field("reaction", step))
+            contact.draw_reactions(plotter, points, result.field("reaction", self._stored(step)))
         write_title(plotter, self.titles[step], self.size)
         aim(plotter, self.camera)
         return plotter.screenshot(return_img=True)
 
+    def _stored(self, step: int) -> int:
+        """The result's step of a frame."""
+        return step
+
+    def _points(self, step: int) -> np.ndarray:
+        return self.result.points(step)
+
     def close(self) -> None:
         self.plotter.close()
+
+
+class _Swinging(_Picture):
+    """Frames of one period of a mode about the last step."""
+
+    def _stored(self, step: int) -> int:
+        return self.result.n_steps - 1
+
+    def _points(self, step: int) -> np.ndarray:
+        phase = np.sin(2.0 * np.pi * step / len(self.titles))
+        return swing.displaced(self.result, self.field, phase=float(phase))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.results import CELL_FIELDS, POINT_FIELDS, Result
+from voile.results import Result
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,10 @@ def quantity(result: Result, name: str, step: int = -1) -> Quantity:
 
     Raises KeyError naming what there is for a name that is neither.
     """
-    for location, stored, table in (
-        ("point", result.point_fields, POINT_FIELDS),
-        ("cell", result.cell_fields, CELL_FIELDS),
-    ):
+    for location, stored in (("point", result.point_fields), ("cell", result.cell_fields)):
         if name in stored:
-            return Quantity(name, location, result.field(name, step), table[name].unit, table[name].meaning)
+            field = result.describe(name)
+            return Quantity(name, location, result.field(name, step), field.unit, field.meaning)
     if name not in DERIVED:
         known = ", ".join(available(result))
         raise KeyError(f"no field {name!r}; there are {known}")

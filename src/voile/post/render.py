@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post import contact
+from voile.post import contact, swing
 from voile.post.camera import Camera, look, parse_scene, upright
 from voile.post.quantities import (
     Quantity,
@@ -76,6 +76,8 @@ def picture(
         check_field(result, field)
         scene = parse_scene(result.scene_text)
         points, shown = result.points(step), quantity(result, field, step)
+        if swing.is_mode(field):
+            points = swing.displaced(result, field, step)
         bodies = contact.surfaces(result, step)
         if shape == "rest":
             points, bodies = _rest(result), []
@@ -91,7 +93,10 @@ def picture(
                 contact.draw_reactions(plotter, points, result.field("reaction", step))
             if outline:
                 _draw_start(plotter, result.start, points, result.triangles, ghost=not bodies)
-            write_title(plotter, _title(result, scene, step, "rest shape" if shape == "rest" else ""), size)
+            said = "rest shape" if shape == "rest" else ""
+            if swing.is_mode(field):
+                said = swing.figure(result, field, step)
+            write_title(plotter, _title(result, scene, step, said), size)
             aim(plotter, camera)
             return _image(plotter)
         finally:
@@ -233,6 +238,8 @@ def _title(result: Result, scene: dict[str, Any], step: int, shape: str) -> str:
     head = scene.get("scene", {})
     value = result.values[step]
     progress = f"time {value:.4g} s" if head.get("task") == "dynamics" else f"load factor {value:.4g}"
+    if head.get("task") == "modes":
+        progress = shape or progress
     if head.get("task") == "inverse":
         progress = shape or ("target" if value == 0.0 else "simulated")
     name = head.get("name", "")

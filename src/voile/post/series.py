@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile.errors import InputError
-from voile.results import POINT_FIELDS, Result
+from voile.results import Result
 from voile.results.history import read_history
 
 UNITS = {
@@ -97,7 +97,7 @@ class Recorded:
             )
         return Series(
             name,
-            POINT_FIELDS[field].unit,
+            result.unit(field),
             result.values,
             np.array([result.field(field, k)[v] for k in steps]),
         )

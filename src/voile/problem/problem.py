@@ -283,15 +283,17 @@ class Problem:
         vector.array[:] = self.layout.diagonal(self.part.mass)
         return vector
 
-    def mass_matrix(self) -> PETSc.Mat:
-        """C^T M C (kg; kg m^2 for directors), with the tangent's pattern."""
+    def mass_matrix(self, rotary: bool = True) -> PETSc.Mat:
+        """C^T M C (kg; kg m^2 for directors, zero unless rotary), with the tangent's pattern."""
         matrix = self.create_matrix()
         still = np.zeros((len(self.part.corners), 21, 21))
         self.assemble(matrix, still, [mass_blocks(self.vertex_mass(), 1.0)])
-        rotary, inertia = self.create_vector(), self.part.mass.copy()
+        if not rotary:
+            return matrix
+        turning, inertia = self.create_vector(), self.part.mass.copy()
         inertia[: self.layout.vertices] = 0.0
-        rotary.array[:] = self.layout.diagonal(inertia)
-        matrix.setDiagonal(rotary, addv=PETSc.InsertMode.ADD_VALUES)
+        turning.array[:] = self.layout.diagonal(inertia)
+        matrix.setDiagonal(turning, addv=PETSc.InsertMode.ADD_VALUES)
         return matrix
 
     def motion(self, direction: PETSc.Vec) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Names, units and shapes of everything a result file may hold: the one table for writer, reader and post."""
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +33,7 @@ POINT_FIELDS = {
     "normal_reaction": Field("N", "part of the reaction along the axis of Coulomb's cone", 3),
     "friction": Field("", "coefficient of Coulomb's cone, 0 without active contact"),
     "margin": Field("", "share of friction's bound that is left, 0 where it slips, 1 without active contact"),
-    "mode": Field("", "softest mode, largest entry 1", 3),
+    "mode": Field("", "shape of a mode, largest 1", 3),
     "velocity": Field("m/s", "velocity", 3),
     "acceleration": Field("m/s^2", "acceleration", 3),
 }
@@ -50,3 +52,8 @@ EDGE_ANGLES = Field("rad", "director angle of the edge")
 PLACEMENT = Field(
     "m", "rigid placement of an obstacle, 4 x 4 by rows: x = matrix (x at load factor 0, 1)", 16
 )
+
+
+def find_field(table: Mapping[str, Field], name: str) -> Field | None:
+    """The table's field of that name; `mode_000` and so on are fields `mode`. None where there is none."""
+    return table.get(name) or table.get(re.sub(r"_\d{3,}$", "", name))

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from voile.errors import InputError
-from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS
+from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS, Field, find_field
 from voile.results.static import OBSTACLES, Body
 from voile.results.writer import EDGES, OWN_VALUES, POINTS
 
@@ -184,9 +184,16 @@ class Result:
                 return self._rows(path, offset, n)
         raise KeyError(f"no field {name!r}; there are {', '.join(self.point_fields + self.cell_fields)}")
 
+    def describe(self, name: str) -> Field:
+        """Unit and meaning of a field."""
+        field = find_field(POINT_FIELDS | CELL_FIELDS, name)
+        if field is None:
+            raise KeyError(f"no field {name!r}; there are {', '.join(self.point_fields + self.cell_fields)}")
+        return field
+
     def unit(self, name: str) -> str:
         """SI unit of a field, "" where it has none."""
-        return (POINT_FIELDS | CELL_FIELDS)[name].unit
+        return self.describe(name).unit
 
     def edge_angles(self, step: int = -1) -> np.ndarray | None:
         """(e,) director angles, rad, in the order of `edges`; None where the run has none."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
+from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field, find_field
 
 VTK_TRIANGLE = 5
 OBSTACLES = "voile/obstacles"
@@ -90,6 +90,7 @@ def static_datasets(mesh: StaticMesh) -> dict[str, np.ndarray]:
 
 def known(table: Mapping[str, Field], name: str) -> Field:
     """The table's field of that name; ValueError names those there are."""
-    if name not in table:
+    field = find_field(table, name)
+    if field is None:
         raise ValueError(f"no field {name!r} in results; known: {', '.join(table)}")
-    return table[name]
+    return field

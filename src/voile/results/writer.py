@@ -26,7 +26,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voile.errors import InputError, on_root
-from voile.results.fields import CELL_FIELDS, EDGE_ANGLES, FORMAT_VERSION, PLACEMENT, POINT_FIELDS, Field
+from voile.results.fields import (
+    CELL_FIELDS,
+    EDGE_ANGLES,
+    FORMAT_VERSION,
+    PLACEMENT,
+    POINT_FIELDS,
+    Field,
+    find_field,
+)
 from voile.results.slabs import Slabs
 from voile.results.static import OBSTACLES, StaticMesh, known, static_datasets
 
@@ -329,7 +337,7 @@ def import_h5py(comm: MPI.Comm) -> Any:
 def _describe(dataset: Any) -> None:
     parent, name = dataset.name.rsplit("/", 1)
     tables = {"/VTKHDF/PointData": POINT_FIELDS, "/VTKHDF/CellData": CELL_FIELDS}
-    if spec := tables.get(parent, {}).get(name):
+    if spec := find_field(tables.get(parent, {}), name):
         dataset.attrs["unit"], dataset.attrs["meaning"] = spec.unit, spec.meaning
 
 

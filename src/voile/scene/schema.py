@@ -31,7 +31,7 @@ from voile.keys import (
 from voile.mesh import RawMesh
 from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
-from voile.scene.tasks import TASKS, Dynamics, Inverse, Output, Statics
+from voile.scene.tasks import TASKS, Dynamics, Inverse, Modes, Output, Statics
 
 SELECT = Selection(
     {
@@ -197,6 +197,7 @@ class Scene:
     contact: Contact = key(Table(Contact), "contact", default=Contact())
     statics: Statics = key(Table(Statics), "task = statics", default=Statics())
     dynamics: Dynamics = key(Table(Dynamics), "task = dynamics", default=Dynamics())
+    modes: Modes = key(Table(Modes), "task = modes", default=Modes())
     inverse: Inverse = key(Table(Inverse), "task = inverse", default=Inverse())
     output: Output = key(Table(Output), "results", default=Output())
     text: str = ""
@@ -234,6 +235,8 @@ class Scene:
             for index, body in enumerate(self.obstacle):
                 if getattr(body, "frames", None):
                     raise Rejected("allowed with task = dynamics", ("obstacle", index, "frames"))
+        if self.scene.task == "modes":
+            self._check_modes(given)
         rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
         if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
             raise Rejected(
@@ -257,6 +260,19 @@ class Scene:
                 raise Rejected(
                     f'"{group}" has a [[fabric]] already; allowed: one per group', ("fabric", index, "group")
                 )
+
+    def _check_modes(self, given: set[str]) -> None:
+        if "inverse" in given:
+            raise Rejected('allowed with task = "inverse" only; task is "modes"', ("inverse",))
+        if self.loads.moment:
+            raise Rejected(
+                "has no potential, so the shell has no natural modes; allowed with task = modes: gravity, pressure, "
+                "force",
+                ("loads", "moment"),
+            )
+        if self.modes.buckling and (self.obstacle or self.contact.self_contact):
+            where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
+            raise Rejected("allowed with modes.buckling = true: no contact", where)
 
     def _check_estimate(self) -> None:
         if not self.inverse.also:

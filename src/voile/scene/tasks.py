@@ -10,7 +10,7 @@ TASKS = {
     "statics": True,
     "dynamics": True,
     "inverse": True,
-    "modes": False,
+    "modes": True,
 }  # whether this version runs them
 
 
@@ -72,6 +72,26 @@ class Dynamics:
     stop_at_rest: float = key(
         Number("m/s", least=0), "ends the run once nothing is faster; 0: never", default=0.0
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modes:
+    count: int = key(Integer(1), "how many, the lowest", default=6)
+    buckling: bool = key(
+        Boolean(),
+        "load factors at which the linearised structure buckles; false: natural frequencies",
+        default=False,
+    )
+    load_factor: float | None = key(
+        Number(least=0, most=1),
+        "of the equilibrium about which the structure is linearised; default: 1, with buckling 0, the unloaded shell",
+        default=None,
+    )
+
+    @property
+    def about(self) -> float:
+        """The load factor of the equilibrium."""
+        return (0.0 if self.buckling else 1.0) if self.load_factor is None else self.load_factor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,29 @@
+"""Modes in pictures and films: the equilibrium, displaced by a shape."""
+
+import re
+
+import numpy as np
+
+from voile.results import Result
+
+LARGEST = 0.1  # of the shape's size: the largest displacement drawn
+
+
+def is_mode(field: str) -> bool:
+    """Whether a field of that name is one of several modes."""
+    return re.fullmatch(r"mode_\d{3,}", field) is not None
+
+
+def displaced(result: Result, field: str, step: int = -1, phase: float = 1.0) -> np.ndarray:
+    """(n, 3) m: the points of a step, displaced by `phase` (-1 to 1) of what is drawn of a mode."""
+    points = result.points(step)
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return points + phase * LARGEST * size * result.field(field, step)
+
+
+def figure(result: Result, field: str, step: int = -1) -> str:
+    """A mode's name and figure, for a title."""
+    number, scalars = field.removeprefix("mode_"), result.scalars(step)
+    if f"frequency_{number}" in scalars:
+        return f"mode {int(number)}    {scalars[f'frequency_{number}']:.4g} Hz"
+    return f"mode {int(number)}    buckles at load factor {scalars[f'load_factor_{number}']:.4g}"
