@@ -24,6 +24,7 @@ ALLOWED = {
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
     "results": {"mesh"},
     "post": {"results"},
+    "study": {"_kernels", "keys", "mesh", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.
 TOP = {"cli", "commands", "explain", "tasks", "wiring"}

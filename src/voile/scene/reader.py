@@ -22,31 +22,52 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
     and the key, what is wrong and what is allowed.
     """
     path, overrides = Path(path), list(overrides)
-    text = _read_text(path)
-    try:
-        tree = tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
-        raise InputError(f"{path}: not TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: arrays or tables are nested too deeply") from None
-    places = {at: f"{path}, line {line}" for at, line in key_lines(text).items()}
+    source = read_source(path)
+    tree, text, places = source.tree, source.text, dict(source.places)
     for override in overrides:
-        new = _apply(tree, override)
+        new = apply_override(tree, override)
         places = {at: place for at, place in places.items() if at[: len(new)] != new} | {
             new: f"--set {override}"
         }
     try:
         scene = Table(Scene).read(tree)
     except Rejected as error:
-        name, problem = ".".join(map(_shown, error.path)), error.problem
+        problem = error.problem
         if error.unknown and (tables := homes(str(error.path[-1]))):
             problem += f" (it belongs in {' or '.join(tables)})"
-        place = next((places[at] for at in _prefixes(error.path) if at in places), str(path))
-        raise InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}") from None
+        raise refusal(path, places, problem, error.path) from None
     if overrides and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"# --set {override}\n" for override in overrides)
     return dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A TOML file: what it holds, its text, and the places of its keys as messages name them."""
+
+    tree: dict[str, Any]
+    text: str
+    places: dict[KeyPath, str]
+
+
+def read_source(path: Path, what: str = "a scene file") -> Source:
+    """A TOML file that should be `what`. Raises InputError for one that cannot be read."""
+    text = _read_text(path, what)
+    try:
+        tree = tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
+        raise InputError(f"{path}: not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: arrays or tables are nested too deeply") from None
+    return Source(tree, text, {at: f"{path}, line {line}" for at, line in key_lines(text).items()})
+
+
+def refusal(path: Path, places: dict[KeyPath, str], problem: str, at: KeyPath) -> InputError:
+    """What is wrong at a key of a file, named with its place there."""
+    name = ".".join(map(_shown, at))
+    place = next((places[prefix] for prefix in _prefixes(at) if prefix in places), str(path))
+    return InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}")
 
 
 def _shown(part: str | int) -> str:
@@ -55,11 +76,11 @@ def _shown(part: str | int) -> str:
     return text if text.isprintable() else repr(text)
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, what: str) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a scene file (TOML) is needed") from None
+        raise InputError(f"{path}: no such file; {what} (TOML) is needed") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
     except OSError as error:
@@ -141,7 +162,7 @@ def _prefixes(path: KeyPath) -> Iterator[KeyPath]:
 # ---- overrides ----
 
 
-def _apply(tree: dict[str, Any], override: str) -> KeyPath:
+def apply_override(tree: dict[str, Any], override: str) -> KeyPath:
     """Sets one key=value in the tree; returns the path of what is new, the key or a table made for it."""
     if not override.isprintable():  # it becomes one line of messages and of the scene's text
         raise InputError(
