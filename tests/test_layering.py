@@ -26,6 +26,7 @@ ALLOWED = {
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
     "results": {"mesh"},
     "post": {"results"},
+    "study": {"_kernels", "keys", "mesh", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.
 TOP = {"api", "cli", "commands", "explain", "tasks", "wiring"}

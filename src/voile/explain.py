@@ -210,6 +210,13 @@ def _repeats_cells(shell: Shell) -> bool:
     return len(shapes) < REPEATED * len(length)
 
 
+def _refined(scene: Scene, model: Model) -> str:
+    """What refinement made the mesh of."""
+    file, times = model.surface.coarsest, scene.shell.refine
+    count = f"{len(file.points)} vertices, {len(file.triangles)} triangles"
+    return f", {count}, refined {times} time{'s' * (times > 1)}" if times else ""
+
+
 def explain(scene: Scene, model: Model) -> str:
     """The text of `voile explain`."""
     shell = model.shell
@@ -225,7 +232,7 @@ def explain(scene: Scene, model: Model) -> str:
     lines = [
         f"{scene.scene.name or scene.path}: {scene.scene.task}",
         f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m",
-        f"file      {model.surface.source}",
+        f"file      {model.surface.source}{_refined(scene, model)}",
         f"model     {shell.model}",
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model)}; PETSc options after --",

@@ -10,7 +10,17 @@ from voile.contact.motion import Motion, Spell, Track
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.errors import InputError
-from voile.mesh import RawMesh, Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
+from voile.mesh import (
+    RawMesh,
+    Rest,
+    Surface,
+    inner_lines,
+    read_mesh,
+    read_rest,
+    refine,
+    select,
+    surface_loops,
+)
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
@@ -43,9 +53,10 @@ def build_model(scene: Scene) -> Model:
     """Reads and checks everything a scene names; raises InputError with the scene's key in question."""
     spec = scene.shell
     surface = read_mesh(spec.mesh, spec.scale, spec.seams)
+    surface = refine(surface, spec.refine, f"{scene.path}: shell.refine")
     rest = read_rest(spec.rest, surface, Path(scene.path).parent, spec.scale)
     topology = build_topology(surface.triangles)
-    loops = boundary_loops(surface.triangles, topology, surface.points)
+    loops = surface_loops(surface, topology)
     fixed, motion, clamped = _supports(scene, surface, topology, loops)
     moves = _moves_in_time(scene, surface, loops)
     thickness, young, poisson, density = _fabric(scene, surface)

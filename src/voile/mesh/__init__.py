@@ -3,6 +3,7 @@
 from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
 from voile.mesh.raw import RawMesh, mesh_of_arrays
+from voile.mesh.refine import refine, surface_loops
 from voile.mesh.select import inner_lines, select
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
@@ -26,7 +27,9 @@ __all__ = [
     "read_body",
     "read_mesh",
     "read_rest",
+    "refine",
     "select",
     "sewing_matrix",
+    "surface_loops",
     "write_obj",
 ]

@@ -9,8 +9,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from voile.errors import InputError
+from voile.mesh.refine import carry_nodes, midpoints
 from voile.mesh.surface import Surface
-from voile.mesh.topology import Topology
+from voile.mesh.topology import Topology, build_topology
 
 
 def select(
@@ -18,7 +19,8 @@ def select(
 ) -> np.ndarray:
     """Vertices that satisfy every key of `selection`: (k,) int32, increasing, indices into surface.points.
 
-    nodes: indices in the input file, from 0; group: name or list of names, the vertices of those triangles;
+    nodes: indices in the input file, from 0 (of a refined surface also what lies between, see carry_nodes);
+    group: name or list of names, the vertices of those triangles;
     box: [[min], [max]] in metres on the start shape, faces included; boundary: index of a loop or list of
     them, in boundary_loops (vertex index arrays, longest first); all: true.
     Raises InputError that names `where` (the key in the scene) and what there is to select.
@@ -59,6 +61,10 @@ def inner_lines(
     over edges inside the surface. Raises InputError that names `where` (the key in the scene)."""
     if not len(lines):
         return np.zeros((0, 2), dtype=np.int64)
+    if surface.coarser:
+        start, end = inner_lines(surface.coarser, build_topology(surface.coarser.triangles), lines, where).T
+        middle = midpoints(surface, start, end)
+        return np.column_stack([start, middle, middle, end]).reshape(-1, 2)
     inner = np.delete(topology.edges, topology.boundary_edges, axis=0)
     length = np.linalg.norm(np.diff(surface.points[inner], axis=1)[:, 0], axis=1)
     graph = sparse.csr_matrix((length, inner.T), shape=(len(surface.points),) * 2)
@@ -80,6 +86,8 @@ def inner_lines(
 
 
 def _nodes(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+    if surface.coarser:
+        return carry_nodes(surface, _nodes(surface.coarser, loops, value, where))
     return _mask(surface, _places(surface, _integers(value, where), where))
 
 

@@ -31,6 +31,8 @@ class Surface:
     stitches in the numbering of points, None without; input_vertex (n,) int64, increasing, the index of each
     vertex in the file, which has input_vertices of them; input_triangle (m,) int64, increasing, and
     input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source: the file.
+    A refined surface (mesh.refine) has a coarser one, whose vertices come first, then the middles of its edges: ends
+    (e, 2) of them. Its input_vertex counts those on from the file's.
     """
 
     points: np.ndarray
@@ -46,6 +48,20 @@ class Surface:
     input_triangles: int
     notes: tuple[str, ...]
     source: str
+    coarser: Surface | None = None
+    ends: np.ndarray | None = None
+
+    @property
+    def coarsest(self) -> Surface:
+        """The surface as it is in the file."""
+        return self.coarser.coarsest if self.coarser else self
+
+    def carry(self, points: np.ndarray, levels: int | None = None) -> np.ndarray:
+        """Points (n, 3) of this surface from those of the one `levels` refinements before, by default the file's."""
+        if self.coarser is None or self.ends is None or levels == 0:
+            return points
+        points = self.coarser.carry(points, None if levels is None else levels - 1)
+        return np.concatenate([points, points[self.ends].mean(axis=1)])
 
 
 @dataclass(frozen=True)
@@ -139,9 +155,11 @@ def read_rest(
         )
     else:
         raw = _read_raw(spec if isinstance(spec, RawMesh) else Path(relative_to) / spec, scale)
+        file = surface.coarsest
         check_coordinates(raw)
-        _check_same_triangles(raw, surface)
-        rest, source = Rest(raw.points[surface.input_vertex], surface.triangles, flat=False), raw.source
+        _check_same_triangles(raw, file)
+        points = surface.carry(raw.points[file.input_vertex])
+        rest, source = Rest(points, surface.triangles, flat=False), raw.source
     degenerate = flat_triangles(rest.points, rest.triangles)
     if len(degenerate):
         where = degenerate[0]

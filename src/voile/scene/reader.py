@@ -27,9 +27,8 @@ def read_scene(
     what is wrong and what is allowed.
     """
     path = Path(OF_DICT) if isinstance(source, Mapping) else Path(source)
-    tree, text = _plain_tree(source) if isinstance(source, Mapping) else _parsed(path)
-    lines = {} if isinstance(source, Mapping) else key_lines(text)
-    places = {at: f"{path}, line {line}" for at, line in lines.items()}
+    given = _source_of_dict(source) if isinstance(source, Mapping) else read_source(path)
+    tree, text, places = given.tree, given.text, dict(given.places)
     told = []
     for name, value, shown in _overrides(overrides):
         new = _apply(tree, name, value, shown)
@@ -40,35 +39,51 @@ def read_scene(
     try:
         scene = Table(Scene).read(tree)
     except Rejected as error:
-        name, problem = ".".join(map(_shown, error.path)), error.problem
+        problem = error.problem
         if error.unknown and (tables := homes(str(error.path[-1]))):
             problem += f" (it belongs in {' or '.join(tables)})"
-        place = next((places[at] for at in _prefixes(error.path) if at in places), str(path))
-        raise InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}") from None
+        raise refusal(path, places, problem, error.path) from None
     if told and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"# --set {override}\n" for override in told)
     return dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
 
 
-def _parsed(path: Path) -> tuple[dict[str, Any], str]:
-    """The tree and text of a TOML file."""
-    text = _read_text(path)
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A TOML file: what it holds, its text, and the places of its keys as messages name them."""
+
+    tree: dict[str, Any]
+    text: str
+    places: dict[KeyPath, str]
+
+
+def read_source(path: Path, what: str = "a scene file") -> Source:
+    """A TOML file that should be `what`. Raises InputError for one that cannot be read."""
+    text = _read_text(path, what)
     try:
-        return tomllib.loads(text), text
+        tree = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         raise InputError(f"{path}: not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: arrays or tables are nested too deeply") from None
+    return Source(tree, text, {at: f"{path}, line {line}" for at, line in key_lines(text).items()})
 
 
-def _plain_tree(source: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """The tree of a scene given as a dict, and the text of a file that has it."""
+def _source_of_dict(source: Mapping[str, Any]) -> Source:
+    """A scene given as a dict, with the text of a file that has it."""
     try:
         tree = plain(source)
     except Rejected as error:
         raise InputError(f"{OF_DICT}: {'.'.join(map(_shown, error.path))}: {error.problem}") from None
-    return tree, toml(tree)
+    return Source(tree, toml(tree), {})
+
+
+def refusal(path: Path, places: dict[KeyPath, str], problem: str, at: KeyPath) -> InputError:
+    """What is wrong at a key of a file, named with its place there."""
+    name = ".".join(map(_shown, at))
+    place = next((places[prefix] for prefix in _prefixes(at) if prefix in places), str(path))
+    return InputError(f"{place}: {name}: {problem}" if name else f"{place}: {problem}")
 
 
 def _shown(part: str | int) -> str:
@@ -77,11 +92,11 @@ def _shown(part: str | int) -> str:
     return text if text.isprintable() else repr(text)
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, what: str) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a scene file (TOML) is needed") from None
+        raise InputError(f"{path}: no such file; {what} (TOML) is needed") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
     except OSError as error:
@@ -174,16 +189,19 @@ def _overrides(given: Iterable[str] | Mapping[str, Any]) -> Iterator[tuple[str, 
             yield name, tree, f"{name}={toml_value(tree)}"
         return
     for override in given:
-        if not override.isprintable():  # it becomes one line of messages and of the scene's text
-            raise InputError(
-                f"--set {override!r}: a line break or control character; allowed: one printable line"
-            )
-        name, equals, text = override.partition("=")
-        if not equals:
-            raise InputError(
-                f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy"
-            )
-        yield name, _parse(text.strip(), override), override
+        yield *_parts(override), override
+
+
+def _parts(override: str) -> tuple[str, Any]:
+    """Name and value of "key=value"."""
+    if not override.isprintable():  # it becomes one line of messages and of the scene's text
+        raise InputError(
+            f"--set {override!r}: a line break or control character; allowed: one printable line"
+        )
+    name, equals, text = override.partition("=")
+    if not equals:
+        raise InputError(f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy")
+    return name, _parse(text.strip(), override)
 
 
 def _apply(tree: dict[str, Any], name: str, value: Any, override: str) -> KeyPath:

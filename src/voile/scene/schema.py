@@ -70,6 +70,12 @@ class Shell:
         default=None,
     )
     scale: float = key(Number("m", above=0), "metres per unit of the mesh files", default=1.0)
+    refine: int = key(
+        Integer(),
+        "how many times every triangle is split into four, of start and rest shape alike; selected nodes take along "
+        "what lies between them",
+        default=0,
+    )
     model: str = key(Choice(*MODELS), "elastic model", default="koiter")
     bending: str = key(Choice(*BENDING), "mid-edge normals of the Koiter model", default="tan")
     material: str = key(Choice(*MATERIALS), "material law", default="stvk")

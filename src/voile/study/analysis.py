@@ -1,0 +1,207 @@
+"""What a study's runs tell: errors and what they are made of, the Pareto front, and what to choose."""
+
+from dataclasses import dataclass, field
+
+from voile.study.execute import CONVERGED, Record
+from voile.study.plan import Plan, Run, changed
+from voile.study.schema import Known
+from voile.study.series import ENDS, REFINE, SIZED, TIME_STEP, Series, ends, find_series, rate_to
+from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, Settings, changes, told
+
+# As slow as another run, as far as clocks tell: within this factor, and s that starting a program takes more or less.
+ALIKE, SCATTER = 1.25, 0.25
+SAME = 1e-9  # of an error: another run's is the same
+
+
+@dataclass
+class Row:
+    """A run, its record, the error of each measure over the reference's size, the largest of them (None without), the
+    seconds that count, the parts of each by what they come from, and what the run changes of the reference."""
+
+    run: Run
+    record: Record
+    errors: dict[str, float] = field(default_factory=dict)
+    error: float | None = None
+    seconds: float | None = None
+    parts: dict[str, dict[str, float]] = field(default_factory=dict)
+    changes: dict[str, list[str]] = field(default_factory=dict)
+    front: bool = False
+
+
+@dataclass
+class Choice:
+    """What to choose for an accuracy: the row, and what another value of each of its settings costs instead."""
+
+    accuracy: float
+    row: Row | None
+    others: list[tuple[str, object, Row]] = field(default_factory=list)
+
+
+@dataclass
+class Findings:
+    """All that a study found; references by measure."""
+
+    plan: Plan
+    rows: list[Row]
+    references: dict[str, float]
+    about: str
+    series: list[Series]
+    front: list[Row]
+    choices: list[Choice]
+
+    @property
+    def varied(self) -> list[str]:
+        """Settings that differ between runs that have an error."""
+        runs = [row.run.effective for row in self.rows if row.error is not None]
+        return [n for n in self.plan.varied if len({repr(settings[n]) for settings in runs}) > 1]
+
+    def rate(self, series: Series) -> float | None:
+        """Rate at which a series comes nearer to the reference."""
+        reference = self.references.get(series.measure)
+        return None if reference is None else rate_to(reference, series.sizes, series.values)
+
+
+def analyse(plan: Plan, records: list[Record]) -> Findings:
+    """The findings of a plan's records."""
+    cpu = plan.study.study.clock == "cpu"
+    rows = [
+        Row(run, record, seconds=record.cpu_seconds if cpu else record.seconds)
+        for run, record in zip(plan.runs, records, strict=True)
+    ]
+    names = [m.name for m in plan.measures]
+    series = [s for name in names for s in find_series(plan.runs, records, name)]
+    origin = _origin(plan, records)
+    references, about = {}, ""
+    for name in names:
+        found = _reference(plan, records, series, name, origin)
+        if found:
+            references[name], about = found
+    last = ends(plan.runs, records)
+    for k, row in enumerate(rows):
+        row.changes = changed(row.run, plan.runs[origin])
+        if k != plan.reference and row.record.status == CONVERGED:
+            _measure(k, row, rows, references, series, last)
+    front = _front(rows)
+    for row in front:
+        row.front = True
+    choices = [_choice(accuracy, rows) for accuracy in plan.study.study.accuracy]
+    return Findings(plan, rows, references, about, series, front, choices)
+
+
+def _origin(plan: Plan, records: list[Record]) -> int:
+    """The run that variants are told from: the reference's, else the best discretised and iterated one of the first
+    model that converged."""
+    if plan.reference is not None:
+        return plan.reference
+    first = {name: repr(values[0]) for name, values in plan.study.vary.items() if name not in (*SIZED, *ENDS)}
+    first = {name: value for name, value in first.items() if changes(name) in (MODEL, DISCRETE, ITERATION)}
+
+    def rank(k: int) -> tuple:
+        now = plan.runs[k].effective
+        others = sum(repr(now[name]) != value for name, value in first.items())
+        fine = [-float(now.get(REFINE) or 0), float(now.get(TIME_STEP) or 0)]
+        fine += [float(now[n]) * (-1 if largest else 1) for n, largest in ENDS.items() if n in now]
+        return records[k].status != CONVERGED, others, fine, -(records[k].dofs or 0)
+
+    return min(range(len(plan.runs)), key=rank)
+
+
+def _reference(
+    plan: Plan, records: list[Record], series: list[Series], name: str, origin: int
+) -> tuple[float, str] | None:
+    """The reference value of a measure, and what it is; None where there is none."""
+    spec = plan.study.study.reference
+    if isinstance(spec, Known):
+        known = spec.of(name)
+        return None if known is None else (known, "given")
+    value = records[origin].values.get(name)
+    if value is None:
+        return None
+    if plan.reference is not None:
+        return value, f"the run {told(plan.runs[origin].settings)}"
+    limits = [s for s in series if s.measure == name and origin in s.members and s.limit is not None]
+    if not limits:
+        return None
+    value += sum((s.limit or 0.0) - value for s in limits)
+    return value, f"extrapolated over {' and '.join(s.along for s in limits)} from {plan.runs[origin].name}"
+
+
+def _measure(
+    k: int,
+    row: Row,
+    rows: list[Row],
+    references: dict[str, float],
+    series: list[Series],
+    last: dict[int, int],
+) -> None:
+    """Errors of a row, and their parts: from its series' limits, from the run that iterates furthest, and the rest."""
+    for name, reference in references.items():
+        value = row.record.values.get(name)
+        if value is None:
+            continue
+        scale = abs(reference) or max(abs(r.record.values.get(name) or 0.0) for r in rows) or 1.0
+        row.errors[name] = abs(value - reference) / scale
+        parts: dict[str, float] = {}
+        for s in series:
+            if s.measure == name and k in s.members:
+                limit = s.limit if s.limit is not None else s.values[-1]
+                if s.limit is not None or k != s.members[-1]:
+                    kind = TIME if s.along == TIME_STEP else DISCRETE
+                    parts[kind] = value - limit
+        if k in last:
+            parts[ITERATION] = value - (rows[last[k]].record.values.get(name) or value)
+        if parts:
+            parts[MODEL] = value - sum(parts.values()) - reference
+        row.parts[name] = {kind: abs(part) / scale for kind, part in parts.items()}
+    if len(row.errors) == len(references) > 0:
+        row.error = max(row.errors.values())
+
+
+def _rated(rows: list[Row]) -> list[tuple[Row, float, float]]:
+    """Rows with an error, that error and their seconds."""
+    return [
+        (r, r.error, r.record.seconds) for r in rows if r.error is not None and r.record.seconds is not None
+    ]
+
+
+def _alike(seconds: float, others: float) -> bool:
+    """Whether seconds are not clearly more than others."""
+    return seconds <= ALIKE * others + SCATTER
+
+
+def _front(rows: list[Row]) -> list[Row]:
+    """Rows of which none is more exact in as many seconds or fewer (alike counts as as many), fastest first."""
+    rated = _rated(rows)
+
+    def beats(other: tuple[Row, float, float], row: Row, error: float, seconds: float) -> bool:
+        better, same = other[1] < error * (1.0 - SAME), other[1] <= error * (1.0 + SAME)
+        return other[0] is not row and (
+            (better and _alike(other[2], seconds)) or (same and not _alike(seconds, other[2]))
+        )
+
+    kept = [
+        (seconds, row)
+        for row, error, seconds in rated
+        if not any(beats(other, row, error, seconds) for other in rated)
+    ]
+    return [row for _, row in sorted(kept, key=lambda pair: pair[0])]
+
+
+def _choice(accuracy: float, rows: list[Row]) -> Choice:
+    """The most exact of the fastest rows that meet an accuracy, and its neighbours in one setting each."""
+    good = [(row, error, seconds) for row, error, seconds in _rated(rows) if error <= accuracy]
+    if not good:
+        return Choice(accuracy, None)
+    fastest = min(seconds for _, _, seconds in good)
+    chosen = min((g for g in good if _alike(g[2], fastest)), key=lambda g: g[1])[0]
+    others = []
+    for name in chosen.run.effective:
+        for row, _, _ in _rated(rows):
+            if _only(name, row.run.effective, chosen.run.effective):
+                others.append((name, row.run.effective[name], row))
+    return Choice(accuracy, chosen, others)
+
+
+def _only(name: str, one: Settings, other: Settings) -> bool:
+    """Whether settings differ in this one alone."""
+    return [n for n in one if repr(one[n]) != repr(other[n])] == [name]

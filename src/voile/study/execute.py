@@ -1,0 +1,275 @@
+"""Runs of a study as processes of their own: locked, recorded once they are complete, and not run again then."""
+
+import fcntl
+import json
+import os
+import shlex
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from voile.errors import InputError
+from voile.results import read_summary
+from voile.study.measures import Measure, values
+from voile.study.plan import Plan, Run
+from voile.study.settings import overrides
+
+SHORT = 2.0  # s: runs under it are measured several times, as start-up and other programs weigh in
+STOPPED = "stopped by a signal"  # what `voile run` says then
+# What an MPI process tells its children: an mpirun started from one takes itself for a rank.
+MPI_PREFIXES = ("OMPI_COMM", "OMPI_MCA_ess", "OMPI_MCA_pml", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")
+CONVERGED, NOT_CONVERGED, REFUSED, FAILED, SLOW = (
+    "converged",
+    "not converged",
+    "refused",
+    "failed",
+    "too long",
+)
+STATUS = {0: CONVERGED, 3: NOT_CONVERGED, 2: REFUSED}  # by exit code
+
+
+@dataclass
+class Record:
+    """What came of a run: status, why it is not CONVERGED, values of measures, median wall time and CPU time (s)
+    of so many repeats, peak memory (MiB, of the first rank), iterations and unknowns; None where there is none."""
+
+    key: str
+    status: str
+    reason: str = ""
+    values: dict[str, float | None] = field(default_factory=dict)
+    seconds: float | None = None
+    repeats: int = 0
+    cpu_seconds: float | None = None
+    memory_mib: float | None = None
+    iterations: int | None = None
+    dofs: int | None = None
+
+
+class Runs:
+    """The runs of a plan in the folder `out`."""
+
+    def __init__(self, plan: Plan, out: Path):
+        self.plan, self.out = plan, out
+        try:
+            (out / "runs").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise InputError(
+                f"{out}: cannot write a study there ({why}); a writable folder expected"
+            ) from None
+        self.children: set[subprocess.Popen] = set()
+        self.stopping = False
+
+    def folder(self, run: Run) -> Path:
+        """Where a run's results are."""
+        return self.out / "runs" / run.folder
+
+    def record(self, run: Run) -> Record | None:
+        """What is known of a run: its record, if it is complete and measures what the study does."""
+        if run.scene is None:
+            return Record(run.key, REFUSED, run.refused)
+        try:
+            found = Record(**json.loads(self._file(run).read_text()))
+        except (OSError, ValueError, TypeError):
+            return None
+        if found.key != run.key or (found.status == SLOW and self._allows_longer(found)):
+            return None
+        if found.status == CONVERGED and set(found.values) != {m.name for m in self.plan.measures}:
+            return self._measured(run, found)
+        return found
+
+    def _measured(self, run: Run, found: Record) -> Record | None:
+        """A record with the values that the study now asks for, from the results that are there."""
+        try:
+            summary = read_summary(self.folder(run) / "summary.json")
+            assert run.scene is not None
+            found.values = values(self.plan.measures, run.scene, self.folder(run), summary)
+        except InputError:
+            return None
+        return found
+
+    def all(self, jobs: int, tell: Callable[[Run, Record, bool], None]) -> list[Record]:
+        """Records of all runs, of which those that are missing are run, `jobs` at a time. tell(run, record, new)."""
+
+        def one(run: Run) -> Record:
+            known = self.record(run)
+            found = known or self.run(run)
+            tell(run, found, known is None)
+            return found
+
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            return list(pool.map(one, self.plan.runs))
+        except BaseException:
+            self.stop()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    def stop(self) -> None:
+        """Ends what runs."""
+        self.stopping = True
+        for child in list(self.children):
+            os.kill(child.pid, signal.SIGTERM)
+
+    def run(self, run: Run) -> Record:
+        """Runs one, unless another process has meanwhile. Raises InputError if it was stopped."""
+        with self._lock(run) as lock:
+            return self.record(run) or self._run(run, lock)
+
+    def _run(self, run: Run, lock: int) -> Record:
+        folder, spec = self.folder(run), self.plan.study.study
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        found = self._once(run, lock)
+        times = [(found.seconds or 0.0, found.cpu_seconds or 0.0)]
+        while found.status == CONVERGED and times[0][0] < SHORT and len(times) < spec.repeats:
+            again = self._once(run, lock)
+            times.append((again.seconds or 0.0, again.cpu_seconds or 0.0))
+        found.seconds, found.cpu_seconds = (statistics.median(each) for each in zip(*times, strict=True))
+        found.repeats = len(times)
+        part = self._file(run).with_suffix(".part")
+        part.write_text(json.dumps(asdict(found), indent=2) + "\n")
+        os.replace(part, self._file(run))
+        return found
+
+    def _once(self, run: Run, lock: int) -> Record:
+        """One process. The lock is its own too: it stays locked should this process be killed."""
+        if self.stopping:
+            raise InputError(STOPPED)
+        folder, limit = self.folder(run), self.plan.study.study.max_seconds
+        began = time.perf_counter()
+        with open(folder / "log.txt", "wb") as log:
+            child = subprocess.Popen(
+                command(self.plan, run, folder),
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                pass_fds=(lock,),
+                env={k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)},
+                start_new_session=True,
+            )
+        self.children.add(child)
+        try:
+            code, cpu = _wait(child, limit)
+        finally:
+            self.children.discard(child)
+        seconds = time.perf_counter() - began
+        if self.stopping or (
+            code < 0 and -code in (signal.SIGINT, signal.SIGTERM) and seconds < (limit or 1e300)
+        ):
+            raise InputError(STOPPED)
+        return self._found(run, code, seconds, cpu, bool(limit) and seconds >= limit)
+
+    def _found(self, run: Run, code: int, seconds: float, cpu: float, late: bool) -> Record:
+        folder = self.folder(run)
+        status = SLOW if late else STATUS.get(code, FAILED)
+        found = Record(run.key, status, "", seconds=seconds, cpu_seconds=cpu)
+        try:
+            summary = read_summary(folder / "summary.json")
+        except InputError:
+            summary = {}
+        if status == SLOW:
+            found.reason = f"ended after study.max_seconds = {self.plan.study.study.max_seconds:g} s"
+        elif status != CONVERGED:
+            found.reason = _last_line(folder / "log.txt", code)
+            if code == 3:
+                found.reason = summary.get("reason", found.reason)
+        if found.reason == STOPPED:
+            raise InputError(STOPPED)
+        found.seconds = summary.get("wall_time_s", {}).get("total", seconds)
+        found.memory_mib, found.dofs = summary.get("peak_memory_mib"), summary.get("dofs")
+        found.iterations = summary.get("newton_iterations")
+        if status == CONVERGED and run.scene:
+            found.values = values(self.plan.measures, run.scene, folder, summary)
+        return found
+
+    def _allows_longer(self, found: Record) -> bool:
+        """Whether a run that took too long may now go on longer."""
+        limit = self.plan.study.study.max_seconds
+        return not limit or limit > (found.seconds or 0.0)
+
+    def _file(self, run: Run) -> Path:
+        return self.folder(run) / "run.json"
+
+    @contextmanager
+    def _lock(self, run: Run) -> Iterator[int]:
+        """Only one process at a time runs a run; the system ends a lock with those who hold it."""
+        with open(self.out / "runs" / f"{run.folder}.lock", "a") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield file.fileno()
+
+
+def command(plan: Plan, run: Run, folder: Path) -> list[str]:
+    """What runs a run."""
+    words = [sys.executable, "-m", "voile.cli", "run", str(plan.scene.resolve()), "-o", str(folder.resolve())]
+    for text in overrides(run.settings):
+        words += ["--set", text]
+    return [*launcher(plan.study.study.launcher, run.ranks), *words]
+
+
+def launcher(given: str, ranks: int) -> list[str]:
+    """What starts so many MPI processes; nothing for one, unless a study gives its own. Raises InputError without."""
+    if given:
+        return shlex.split(given.replace("{ranks}", str(ranks)))
+    if ranks == 1:
+        return []
+    program = shutil.which("mpirun")
+    if program is None:
+        raise InputError(
+            "ranks: mpirun is not on the PATH; allowed: study.launcher, such as 'srun -n {ranks}'"
+        )
+    about = subprocess.run([program, "--version"], capture_output=True, text=True).stdout
+    crowded = ["--allow-run-as-root", "--oversubscribe"] if "Open MPI" in about else []
+    return [program, *crowded, "-n", str(ranks)]
+
+
+def _wait(child: subprocess.Popen, limit: float) -> tuple[int, float]:
+    """Exit code and CPU seconds of a process, ended after `limit` seconds (0: never)."""
+    ends = time.monotonic() + limit if limit else None
+    while True:
+        pid, status, usage = os.wait4(child.pid, os.WNOHANG if ends else 0)
+        if pid:
+            child.returncode = os.waitstatus_to_exitcode(status)
+            return child.returncode, usage.ru_utime + usage.ru_stime
+        if ends and time.monotonic() > ends:
+            os.killpg(child.pid, signal.SIGKILL)
+            ends = None
+        else:
+            time.sleep(0.02)
+
+
+def _last_line(log: Path, code: int) -> str:
+    """What a process said last, without the program's name."""
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    if code < 0:
+        return f"ended by signal {-code} ({signal.Signals(-code).name})"
+    return lines[-1].removeprefix("voile: ") if lines else f"exit code {code}"
+
+
+def missing(measures: tuple[Measure, ...], records: list[Record]) -> list[str]:
+    """Measures that no converged run produced, if any converged."""
+    done = [r for r in records if r.status == CONVERGED]
+    return [m.name for m in measures if done and all(r.values.get(m.name) is None for r in done)]
+
+
+def figures_of(runs: Runs, records: list[Record]) -> list[str]:
+    """Dotted names of the numbers in the summary of the first run that converged."""
+    run = next(run for run, record in zip(runs.plan.runs, records, strict=True) if record.status == CONVERGED)
+    return sorted(_numbers(read_summary(runs.folder(run) / "summary.json"), ""))
+
+
+def _numbers(node: object, name: str) -> Iterator[str]:
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _numbers(value, f"{name}.{key}" if name else key)
+    elif isinstance(node, int | float) and not isinstance(node, bool):
+        yield name

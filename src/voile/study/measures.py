@@ -1,0 +1,170 @@
+"""What a study measures: figures of summaries, and displacements and forces at selected vertices."""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.mesh import Surface, build_topology, read_mesh, refine, select, surface_loops
+from voile.results import read_result
+from voile.scene import Scene
+from voile.scene.reader import KeyPath
+from voile.study.schema import Point, Study
+
+DISPLACEMENT, ENERGY = "max_displacement", "energy"
+# Figures of summaries: names below each, () where there are none, None where tasks add their own.
+_CONTACT = ("active", "stick", "slip", "max_penetration", "friction_error")
+_ENERGY = ("stretching", "bending", "gravity", "pressure", "force")
+FIGURES: dict[str, tuple[str, ...] | None] = {
+    **dict.fromkeys(("dofs", "steps", "newton_iterations", "linear_solves", "factorisations"), ()),
+    **dict.fromkeys(("residual_norm", "residual_tolerance", "peak_memory_mib", "ranks"), ()),
+    "energy": _ENERGY,
+    "contact": _CONTACT,
+    "wall_time_s": None,
+}
+OF_TASK: dict[str, dict[str, tuple[str, ...] | None]] = {
+    "statics": {"load_factor": (), "smallest_eigenvalue": (), "limit_points": None},
+    "dynamics": {"dynamics": None},
+    "inverse": {"smallest_eigenvalue": (), "inverse": None},
+    "modes": {"modes": None, "buckling": None, "smallest_eigenvalue": (), "load_factor": ()},
+}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of a result: at a point, or a figure."""
+
+    name: str
+    point: Point | None
+
+
+def find_measures(
+    study: Study, scene: Scene, refuse: Callable[[str, KeyPath], InputError]
+) -> tuple[Measure, ...]:
+    """The study's, as far as its scene tells. Raises `refuse`'s error for one that no run produces."""
+    points = {point.name: point for point in study.point}
+    surface = surface_of(scene)
+    for k, point in enumerate(study.point):
+        at: KeyPath = ("point", k, "of")
+        if point.of == "velocity" and scene.scene.task != "dynamics":
+            raise refuse(f'"velocity" with task = {scene.scene.task}; allowed with task = dynamics', at)
+        if point.of == "reaction" and not (scene.obstacle or scene.contact.self_contact):
+            raise refuse('"reaction" of a scene without [[obstacle]] or self_contact; nothing is touched', at)
+        try:
+            _selected(surface, point)
+        except InputError as error:
+            raise refuse(str(error).partition("select: ")[2] or str(error), ("point", k, "select")) from None
+    known = FIGURES | OF_TASK[scene.scene.task]
+    for name in study.study.measures:
+        if name not in points and not _is_figure(name, known):
+            allowed = [*points, DISPLACEMENT, *_dotted(known)]
+            close = difflib.get_close_matches(name, allowed, n=1)
+            hint = f' (did you mean "{close[0]}"?)' if close else ""
+            raise refuse(f'no run has "{name}"{hint}; allowed: {", ".join(allowed)}', ("study", "measure"))
+    return tuple(Measure(name, points.get(name)) for name in study.study.measures)
+
+
+def _is_figure(name: str, known: dict[str, tuple[str, ...] | None]) -> bool:
+    head, _, tail = name.partition(".")
+    below = known.get(head, ())
+    return name in (DISPLACEMENT, ENERGY) or (head in known and (below is None or tail in (below or ("",))))
+
+
+def _dotted(known: dict[str, tuple[str, ...] | None]) -> list[str]:
+    found = []
+    for head, below in known.items():
+        found += [f"{head}.{tail}" for tail in below] if below else [head if below == () else f"{head}.*"]
+    return [ENERGY, *found]
+
+
+def surface_of(scene: Scene) -> Surface:
+    """The scene's mesh. Raises InputError."""
+    spec = scene.shell
+    return refine(read_mesh(spec.mesh, spec.scale, spec.seams), spec.refine, f"{scene.path}: shell.refine")
+
+
+def _selected(surface: Surface, point: Point) -> np.ndarray:
+    return select(
+        surface,
+        surface_loops(surface, build_topology(surface.triangles)),
+        point.select,
+        f"point {point.name}: select",
+    )
+
+
+def values(
+    measures: tuple[Measure, ...], scene: Scene, folder: Path, summary: dict
+) -> dict[str, float | None]:
+    """Each measure's value in the results of a scene; None for one that is not there."""
+    surface = surface_of(scene) if any(m.point for m in measures) else None
+    found: dict[str, float | None] = {}
+    for m in measures:
+        if m.point and surface:
+            found[m.name] = _at_point(m.point, surface, folder)
+        elif m.name == DISPLACEMENT:
+            with read_result(folder) as result:
+                found[m.name] = float(np.linalg.norm(result.points(-1) - result.start, axis=1).max())
+        else:
+            found[m.name] = figure(summary, m.name)
+    return found
+
+
+def figure(summary: dict, name: str) -> float | None:
+    """A figure of a summary by its dotted name, lists by index or their length as vectors; energy is the sum."""
+    node: Any = summary
+    for part in name.split("."):
+        if isinstance(node, dict):
+            node = node.get(part)
+        elif isinstance(node, list) and part.isdecimal() and int(part) < len(node):
+            node = node[int(part)]
+        else:
+            return None
+    if name == ENERGY and isinstance(node, dict):
+        node = sum(node.values())
+    if isinstance(node, list) and node and all(isinstance(v, int | float) for v in node):
+        node = float(np.linalg.norm(node))
+    return float(node) if isinstance(node, int | float) and not isinstance(node, bool) else None
+
+
+def _at_point(point: Point, surface: Surface, folder: Path) -> float:
+    """Mean over the selection; of reactions the sum."""
+    chosen = _selected(surface, point)
+    with read_result(folder) as result:
+        x = result.points(-1)
+        field = {
+            "displacement": lambda: x - result.start,
+            "position": lambda: x,
+            "velocity": lambda: result.field("velocity"),
+            "reaction": lambda: result.field("reaction"),
+        }[point.of]()
+    if point.of == "reaction":
+        vector = field[chosen].sum(axis=0)
+    else:
+        weight = mean_weights(surface, chosen, on_border="boundary" in point.select)
+        vector = weight @ field / weight.sum()
+    return float(np.linalg.norm(vector)) if point.axis == "norm" else float(vector["xyz".index(point.axis)])
+
+
+def mean_weights(surface: Surface, chosen: np.ndarray, on_border: bool = False) -> np.ndarray:
+    """(n,) weights of a mean over selected vertices that finer meshes agree on: by the area of their triangles if each
+    is in one, else by the length of their edges on the border, else of all their edges, else all alike; on_border:
+    no areas."""
+    n, triangles = len(surface.points), surface.triangles
+    inside = np.zeros(n, dtype=bool)
+    inside[chosen] = True
+    topology = build_topology(triangles)
+    border = topology.edges[topology.boundary_edges]
+    for cells in (border, topology.edges) if on_border else (triangles, border, topology.edges):
+        own = cells[inside[cells].all(axis=1)]
+        if len(own) and np.isin(chosen, own).all():
+            x = surface.points[own]
+            size = np.linalg.norm(
+                x[:, 1] - x[:, 0] if own.shape[1] == 2 else np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]),
+                axis=1,
+            )
+            return np.bincount(own.ravel(), weights=np.repeat(size / own.shape[1], own.shape[1]), minlength=n)
+    return inside.astype(float)

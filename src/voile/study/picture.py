@@ -1,0 +1,108 @@
+"""study.png: error against seconds, the Pareto front marked."""
+
+from pathlib import Path
+from typing import Any
+
+from voile.errors import InputError
+from voile.study.analysis import Findings, Row
+from voile.study.settings import COST, changes
+
+INK, LINE = "#25303b", "#8a97a5"
+COLOURS = ("#2b6ca3", "#e58a3c", "#3d8f5f", "#8c1c2e", "#7a5ea8", "#5b6570", "#c2a21d", "#3aa5b5", "#b5589a")
+MARKS = "osD^vP*X"
+ORDERED = ("refine", "shell.mesh", "dynamics.time_step", "dynamics.iterations", "dynamics.tolerance")
+LEAST = 1e-12  # an error drawn: nothing here is known to more
+
+
+def draw(findings: Findings, path: Path) -> None:
+    """Draws the rows that have an error; those of one kind, that differ in meshes, time steps or where iterations end
+    only, in one colour. Raises InputError where the file cannot be written."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(8.0, 4.8), layout="constrained")
+    try:
+        kinds = _kinds(findings)
+        for k, (name, rows) in enumerate(kinds.items()):
+            axes.scatter(
+                [row.seconds for row in rows], [max(row.error or 0.0, LEAST) for row in rows], s=34,
+                color=COLOURS[k % len(COLOURS)], marker=MARKS[k // len(COLOURS) % len(MARKS)], label=name, zorder=3,
+            )  # fmt: skip
+        _draw_front(axes, findings)
+        _dress(axes, findings, len(kinds))
+        figure.savefig(path, dpi=150)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        plt.close(figure)
+
+
+def _kinds(findings: Findings) -> dict[str, list[Row]]:
+    """Rows with an error by their settings of kind."""
+    plain = [n for n in findings.varied if n not in ORDERED and changes(n) != COST]
+    found: dict[str, list[Row]] = {}
+    for row in findings.rows:
+        if row.error is not None:
+            words = (
+                f"{v}" if isinstance(v := row.run.effective[n], str) else f"{n.rpartition('.')[2]} {v}"
+                for n in plain
+            )
+            found.setdefault(", ".join(words), []).append(row)
+    return found
+
+
+def _draw_front(axes: Any, findings: Findings) -> None:
+    front = [(row.seconds, max(row.error or 0.0, LEAST)) for row in findings.front]
+    if not front:
+        return
+    axes.plot(*zip(*front, strict=True), color=INK, linewidth=1.2, zorder=2, label="front")
+    axes.scatter(
+        *zip(*front, strict=True), s=110, facecolors="none", edgecolors=INK, linewidths=1.2, zorder=4
+    )
+    for row, (seconds, error) in zip(findings.front, front, strict=True):
+        words = [
+            f"{n.rpartition('.')[2]} {row.run.effective[n]}"
+            for n in findings.varied
+            if n in ORDERED and n != "shell.mesh"
+        ]
+        axes.annotate(
+            ", ".join(words),
+            (seconds, error),
+            xytext=(7, 5),
+            textcoords="offset points",
+            fontsize=8,
+            color=INK,
+        )
+
+
+def _plain(seconds: float, position: int) -> str:
+    """Label of a tick at 1, 2 or 5 times a power of ten."""
+    return f"{seconds:g}" if f"{seconds:e}"[0] in "125" else ""
+
+
+def _dress(axes: Any, findings: Findings, kinds: int) -> None:
+    from matplotlib.ticker import FuncFormatter
+
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for which in ("major", "minor"):
+        getattr(axes.xaxis, f"set_{which}_formatter")(FuncFormatter(_plain))
+    axes.set_xlabel("CPU seconds" if findings.plan.study.study.clock == "cpu" else "seconds", color=INK)
+    names = ", ".join(m.name.replace("_", " ") for m in findings.plan.measures)
+    axes.set_ylabel(f"relative error of {names}", color=INK)
+    for accuracy in findings.plan.study.study.accuracy:
+        axes.axhline(accuracy, color=LINE, linewidth=0.7, linestyle=":")
+    without = sum(row.error is None for row in findings.rows) - (findings.plan.reference is not None)
+    title = (
+        findings.plan.scene.stem
+        if not without
+        else f"{findings.plan.scene.stem} ({without} runs without an error)"
+    )
+    axes.set_title(title, loc="left", color=INK, fontsize=11)
+    axes.grid(color=LINE, alpha=0.2, linewidth=0.6, which="both")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=INK, which="both")
+    if kinds:
+        axes.legend(frameon=False, fontsize=8, labelcolor=INK, loc="center left", bbox_to_anchor=(1.01, 0.5))

@@ -1,0 +1,150 @@
+"""Settings: keys of a scene, or of how it is run, with values that a study gives them."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from voile.keys import Integer, Rejected, Selection, Table, Tables
+from voile.keys.kinds import Kind
+from voile.keys.kinds import read_key as read_named
+from voile.scene import Scene
+from voile.scene.schema import homes
+
+Settings = dict[str, Any]
+SHORT = {"refine": "shell.refine"}  # words of a study for keys of scenes
+RANKS = "ranks"  # MPI processes: no key of scenes
+OWN = {RANKS: Integer(1)}
+
+# What a key changes, by the longest prefix that fits; all others change the model.
+MODEL, DISCRETE, TIME, ITERATION, COST = "model", "discretisation", "time step", "iteration", "cost only"
+CHANGES = {
+    "shell.refine": DISCRETE,
+    "shell.mesh": DISCRETE,
+    "shell.bending": DISCRETE,  # mid-edge normals of one shell; what fine meshes leave of it counts as model
+    "dynamics.time_step": TIME,
+    "dynamics.scheme": TIME,
+    "dynamics.adaptive": TIME,
+    "dynamics.accuracy": TIME,
+    "dynamics.spectral_radius": TIME,
+    "dynamics.theta": TIME,
+    "dynamics.solver": ITERATION,
+    "dynamics.iterations": ITERATION,
+    "dynamics.tolerance": ITERATION,
+    "statics": ITERATION,
+    "statics.control": MODEL,
+    "statics.max_load_factor": MODEL,
+    "inverse.method": ITERATION,
+    "inverse.tolerance": ITERATION,
+    "inverse.iterations": ITERATION,
+    "inverse.max_seconds": ITERATION,
+    "output": COST,
+    RANKS: COST,
+}
+
+
+def full(name: str) -> str:
+    """A setting's key as scenes spell it."""
+    return SHORT.get(name, name)
+
+
+def brief(name: str) -> str:
+    """A setting's key as studies spell it."""
+    return {key: word for word, key in SHORT.items()}.get(name, name)
+
+
+def changes(name: str) -> str:
+    """What a setting changes: MODEL, DISCRETE, TIME, ITERATION or COST."""
+    parts = full(name).split(".")
+    prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
+    return next((CHANGES[p] for p in prefixes if p in CHANGES), MODEL)
+
+
+def flattened(tree: dict[str, Any], at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Keys of a file's table, those that dots made nested tables of too, and their values."""
+    for name, value in tree.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, (*at, name))
+        else:
+            yield (*at, name), value
+
+
+def check(name: str, value: Any) -> None:
+    """Raises Rejected for a key that no scene has and a value that is not of its kind."""
+    if name in OWN:
+        OWN[name].read(value)
+        return
+    kind: Kind = Table(Scene)
+    for part in full(name).split("."):
+        if isinstance(kind, Tables) and part.isdecimal():
+            kind = kind.table
+        elif isinstance(kind, Table | Selection):
+            kind = _inner(kind, part, name)
+        else:
+            raise Rejected(f"no scene has such a key; allowed: {name.rpartition('.')[0]}")
+    kind.read(value)
+
+
+def _inner(kind: Table | Selection, part: str, name: str) -> Kind:
+    if part in kind.keys:
+        return kind.keys[part]
+    try:
+        read_named(kind.keys, part, None)
+    except Rejected as error:
+        wrong, _, allowed = error.problem.partition("; allowed: ")
+        if part == name:
+            allowed = f"{', '.join([*SHORT, *OWN])}, or a key of a table of the scene, such as shell.young"
+        tables = homes(full(name).rpartition(".")[2])
+        hint = f" (scenes have it in {' or '.join(tables)})" if tables else ""
+        wrong = wrong.replace("unknown key", "no scene has such a key", 1)
+        raise Rejected(f"{wrong}{hint}; allowed: {allowed}") from None
+    raise AssertionError("a key that is there was refused")
+
+
+def overrides(settings: Settings) -> list[str]:
+    """The scene's keys among settings, as `--set` takes them."""
+    return [f"{full(name)}={toml(value)}" for name, value in settings.items() if name not in OWN]
+
+
+def toml(value: Any) -> str:
+    """A value as TOML writes it in one line."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml, value))}]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + " }"
+    return repr(value)
+
+
+def value_of(scene: Scene, name: str) -> Any:
+    """What a scene has for a key, its defaults included; None where it has no such table."""
+    node: Any = scene
+    for part in full(name).split("."):
+        if isinstance(node, tuple) and part.isdecimal():
+            node = node[int(part)] if int(part) < len(node) else None
+        elif isinstance(node, dict):
+            node = node.get(part)
+        elif node is not None:
+            node = getattr(node, Table(type(node)).fields[part].name, None)
+    return node
+
+
+def plain(value: Any) -> Any:
+    """A value of a scene as files hold it: of tables what differs from their defaults, of paths the name."""
+    if isinstance(value, Path):
+        return value.name
+    if isinstance(value, tuple | list):
+        return [plain(each) for each in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = Table(type(value)).fields.items()
+        return {n: plain(v) for n, f in fields if (v := getattr(value, f.name)) != f.default}
+    return value
+
+
+def told(settings: Settings) -> str:
+    """Settings in one line: key=value, text without quotes."""
+    return " ".join(f"{brief(n)}={v if isinstance(v, str) else toml(v)}" for n, v in settings.items())
