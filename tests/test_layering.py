@@ -26,7 +26,7 @@ ALLOWED = {
     "post": {"results"},
 }
 # The command line and its helpers, the only ones that see everything.
-TOP = {"cli", "commands", "explain", "tasks", "wiring"}
+TOP = {"validate", "cli", "commands", "explain", "tasks", "wiring"}
 PETSC = {"problem", "solver", "inverse", "petsc_options"} | TOP
 
 
