@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,17 +47,25 @@ def info(path: str | os.PathLike[str]) -> str:
 
 def _tree(summary: dict[str, Any], indent: str) -> list[str]:
     lines = []
+    for depth, key, text in rows(summary):
+        before = indent + "  " * depth
+        lines.append(f"{before}{key}" if text is None else f"{before}{key:24s} {text}")
+    return lines
+
+
+def rows(summary: dict[str, Any], depth: int = 0) -> Iterator[tuple[int, str, str | None]]:
+    """Depth, name and text of each figure of a summary; text None for what heads the deeper ones that follow."""
     for key, value in summary.items():
         if isinstance(value, dict):
-            lines += [f"{indent}{key}", *_tree(value, indent + "  ")]
+            yield depth, key, None
+            yield from rows(value, depth + 1)
         elif key == "obstacles":
-            lines += [f"{indent}{o['name']:24s} {_totals(o)}" for o in value]
+            for obstacle in value:
+                yield depth, obstacle["name"], _totals(obstacle)
         else:
             if key in ("method", "ways"):  # "ways" before version 0.2
                 value = [f"{way} {count}" for way, count in Counter(value).items()]
-            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            lines.append(f"{indent}{key:24s} {shown}")
-    return lines
+            yield depth, key, ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _totals(obstacle: dict[str, Any]) -> str:

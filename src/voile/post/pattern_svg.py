@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,8 +28,8 @@ LAYERS = {
 }
 
 
-def write_svg(path: str | Path, pattern: Pattern) -> None:
-    """Write the pattern; InputError if the file cannot be written.
+def write_svg(path: str | Path | BinaryIO, pattern: Pattern) -> None:
+    """Write the pattern to a file, named or open; InputError if it cannot be written.
 
     One user unit is a millimetre; the groups `cut`, `notch`, `grain`, `internal` (turn points), `sew` and `text` hold
     an element for each piece, `cut-NAME` and so on.

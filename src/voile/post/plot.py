@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from voile.post.camera import parse_scene
 from voile.post.render import INK, LINE
 from voile.post.series import SINCE_THE_START, Recorded, Series
 from voile.results import read_result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = ("#2b6ca3", "#e58a3c", "#3d8f5f", "#8c1c2e", "#7a5ea8", "#5b6570", "#c2a21d", "#3aa5b5", "#b5589a")
 AXES = ("x", "y", "z")
@@ -45,30 +48,25 @@ def plot(
 
 
 def _draw(out: Path, panels: list[list[Series]], titles: list[str], along: str, name: str) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, grid = plt.subplots(
-        len(panels),
-        1,
-        figsize=(WIDE, HIGH * len(panels) + 0.6),
-        sharex=True,
-        squeeze=False,
-        layout="constrained",
-    )
+    picture = figure(panels, titles, along)
+    if name:
+        picture.suptitle(name, x=0.02, ha="left", color=INK, parse_math=False)
     try:
-        for axes, panel, title in zip(grid[:, 0], panels, titles, strict=True):
-            _draw_panel(axes, panel, title)
-        grid[-1, 0].set_xlabel(along, color=INK)
-        if name:
-            figure.suptitle(name, x=0.02, ha="left", color=INK)
-        figure.savefig(out, dpi=150)
+        picture.savefig(out, dpi=150)
     except OSError as error:
         raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
-    finally:
-        plt.close(figure)
+
+
+def figure(panels: list[list[Series]], titles: list[str], along: str) -> Figure:
+    """The panels one below the other over the same axis, `along`; titles: what each shows."""
+    from matplotlib.figure import Figure  # without pyplot, which also looks for windows
+
+    made = Figure(figsize=(WIDE, HIGH * len(panels) + 0.6), layout="constrained")
+    grid = made.subplots(len(panels), 1, sharex=True, squeeze=False)
+    for axes, panel, title in zip(grid[:, 0], panels, titles, strict=True):
+        _draw_panel(axes, panel, title)
+    grid[-1, 0].set_xlabel(along, color=INK)
+    return made
 
 
 def _draw_panel(axes: Any, panel: list[Series], title: str) -> None:

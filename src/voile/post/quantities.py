@@ -106,8 +106,9 @@ def boundary_edges(triangles: np.ndarray) -> np.ndarray:
     """(b, 2) vertex pairs of the edges with one triangle only."""
     tri = np.asarray(triangles, dtype=np.int64)
     pairs = tri[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    both, count = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
-    return both[count == 1]
+    n = int(tri.max(initial=0)) + 1
+    keys, count = np.unique(pairs.min(axis=1) * n + pairs.max(axis=1), return_counts=True)
+    return np.column_stack(np.divmod(keys[count == 1], n))
 
 
 def vertex_curvature(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -235,15 +235,18 @@ def _round_up(limit: float) -> float:
 
 
 def _title(result: Result, scene: dict[str, Any], step: int, shape: str) -> str:
-    head = scene.get("scene", {})
-    value = result.values[step]
-    progress = f"time {value:.4g} s" if head.get("task") == "dynamics" else f"load factor {value:.4g}"
-    if head.get("task") == "modes":
-        progress = shape or progress
-    if head.get("task") == "inverse":
-        progress = shape or ("target" if value == 0.0 else "simulated")
-    name = head.get("name", "")
-    return f"{name}    {progress}" if name else progress
+    name = scene.get("scene", {}).get("name", "")
+    named = shape and scene.get("scene", {}).get("task") in ("inverse", "modes")
+    at = shape if named else progress(result, scene, step)
+    return f"{name}    {at}" if name else at
+
+
+def progress(result: Result, scene: dict[str, Any], step: int) -> str:
+    """Where in the run a step is: its time, its load factor, or what of an inverse design it is."""
+    value, task = result.values[step], scene.get("scene", {}).get("task")
+    if task == "inverse":
+        return "target" if value == 0.0 else "simulated"
+    return f"time {value:.4g} s" if task == "dynamics" else f"load factor {value:.4g}"
 
 
 def write_title(plotter: Any, title: str, size: tuple[int, int]) -> None:

@@ -1,0 +1,32 @@
+"""`voile report`: one page of a run."""
+
+import argparse
+from pathlib import Path
+
+from voile.commands._result import folder
+
+TEXT = "one self-contained page of a run: 3D view, plots, figures, pattern, notes"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments."""
+    parser.add_argument("file", type=Path)
+    parser.add_argument("-o", "--output", type=Path, help="default: report.html beside the result")
+    parser.add_argument("--field", default="strain", help="colours it opens with, as for render")
+    parser.add_argument("--size", type=float, metavar="MB", help="of the page, at most (default: 5)")
+
+
+def run(args: argparse.Namespace) -> None:
+    """Writes the page, and prints what it leaves out and its name."""
+    from voile.post.report import MEGABYTES, report
+
+    size = MEGABYTES if args.size is None else args.size
+    made = report(
+        args.file, args.output or folder(args.file) / "report.html", field=args.field, megabytes=size
+    )
+    for what, (shown, there) in (("steps", made.steps), ("vertices", made.vertices)):
+        if shown < there:
+            print(f"note: {shown} of {there} {what} in {size:g} MB; --size gives more room")
+    if made.size > 1e6 * size:
+        print(f"note: {made.size / 1e6:.1f} MB: the shape cannot be thinner")
+    print(made.path)
