@@ -6,6 +6,7 @@
 #include <string>
 
 #include "assembly.hpp"
+#include "sensitivities.hpp"
 
 namespace voile {
 inline namespace VOILE_ISA {
@@ -270,64 +271,22 @@ class ElasticModel final : public Elastic {
   }
 
   void mixed(State state, double* q_rest, double* q_fabric, double* fabric) override {
-    using D = Dual<Real, 9>;
-    using T = Dual<D, 6>;
     for (size_t b = 0; b < blocks.size(); ++b) {
-      const Block& block = blocks[b];
-      Local w = local(block, state);
-      const Rest& r = rest[b];
-      Invariants<T> q = lift<T>(w.q), qr;
-      for (int i = 0; i < 3; ++i) {
-        const Real on = turned(b, i), off = Real(1.0) - on;
-        const D s = wave<9>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<9>(w.q.c[i], on * w.q.s[i], 3 + i);
-        q.l[i].d[i] = D(1.0);
-        q.s[i] = T(s), q.s[i].d[3 + i] = c, q.c[i] = T(c), q.c[i].d[3 + i] = D(-1.0) * s;
-        qr.l[i] = T(variable<9>(r.q.l[i], i));
-        qr.s[i] = T(wave<9>(r.q.s[i], off * r.q.c[i], 3 + i));
-        qr.c[i] = T(wave<9>(r.q.c[i], -off * r.q.s[i], 3 + i));
-      }
-      Fabric<T> f{T(variable<9>(r.fabric.thickness, 6)), T(variable<9>(r.fabric.young, 7)),
-                  T(variable<9>(r.fabric.poisson, 8))};
-      auto e = model_energy<Model, T>(q, w.over, r, qr, f);
-      T sum = e.stretching + e.bending;
-      for (int lane = 0; lane < block.count; ++lane) {
-        size_t t = (size_t)block.first + lane;
-        for (int i = 0; i < 6; ++i) {
-          for (int j = 0; j < 6; ++j) q_rest[36 * t + 6 * i + j] = sum.d[i].d[j][lane];
-          for (int j = 0; j < 3; ++j) q_fabric[18 * t + 3 * i + j] = sum.d[i].d[6 + j][lane];
-        }
-        for (int j = 0; j < 3; ++j) fabric[3 * t + j] = sum.v.d[6 + j][lane];
-      }
+      const Real on[3] = {turned(b, 0), turned(b, 1), turned(b, 2)};
+      store_mixed<Model>(blocks[b], local(blocks[b], state), rest[b], on, q_rest, q_fabric, fabric);
     }
   }
 
   void mixed_along(State state, const double* rate, double* slope) override {
-    using D = Dual<Real, 6>;
-    using T = Dual<D, 1>;  // inner: by q_rest; outer: along the rate of q
     for (size_t b = 0; b < blocks.size(); ++b) {
-      const Block& block = blocks[b];
-      Local w = local(block, state);
-      const Rest& r = rest[b];
-      auto rate_of = [&](int k) {
-        return gather(
-            [&](int lane) { return rate[6 * (block.first + std::min(lane, block.count - 1)) + k]; });
-      };
-      Invariants<T> q = lift<T>(w.q), qr;
-      for (int i = 0; i < 3; ++i) {
-        const Real on = turned(b, i), off = Real(1.0) - on;
-        const D s = wave<6>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<6>(w.q.c[i], on * w.q.s[i], 3 + i);
-        const D turn = D(rate_of(3 + i));
-        q.l[i].d[0] = D(rate_of(i));
-        q.s[i] = T(s), q.s[i].d[0] = turn * c, q.c[i] = T(c), q.c[i].d[0] = D(-1.0) * turn * s;
-        qr.l[i] = T(variable<6>(r.q.l[i], i));
-        qr.s[i] = T(wave<6>(r.q.s[i], off * r.q.c[i], 3 + i));
-        qr.c[i] = T(wave<6>(r.q.c[i], -off * r.q.s[i], 3 + i));
-      }
-      auto e = model_energy<Model, T>(q, w.over, r, qr, lift<T>(r.fabric));
-      T sum = e.stretching + e.bending;
-      for (int lane = 0; lane < block.count; ++lane)
-        for (int k = 0; k < 6; ++k) slope[6 * ((size_t)block.first + lane) + k] = sum.d[0].d[k][lane];
+      const Real on[3] = {turned(b, 0), turned(b, 1), turned(b, 2)};
+      store_mixed_along<Model>(blocks[b], local(blocks[b], state), rest[b], on, rate, slope);
     }
+  }
+
+  void stresses(State state, double* out) override {
+    for (size_t b = 0; b < blocks.size(); ++b)
+      store_stresses<Model>(blocks[b], local(blocks[b], state), rest[b], out);
   }
 
   void invariants_jacobian(State state, double* jacobian) override {

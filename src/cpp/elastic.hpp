@@ -81,6 +81,10 @@ class Elastic {
   // Per triangle: the six invariants l (m, 3), alpha (m, 3).
   virtual void invariants(State state, double* lengths, double* angles) = 0;
 
+  // Per triangle: energies (J) of stretching and bending, the first's derivatives with respect to the l, the
+  // second's with respect to the alpha: (m, 8).
+  virtual void stresses(State state, double* out) = 0;
+
   // Whether some hinge turns through 180 degrees on the way between two states. Those within 0.1 degrees of
   // it at the start do not count: it is not known on which side they are.
   virtual bool folds_over(State before, State after) = 0;

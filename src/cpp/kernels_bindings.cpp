@@ -155,6 +155,12 @@ static void bind_model(nb::module_& m) {
              s.elastic->mixed_along(s.state(u, phi), sized(rate, slope.size(), "rate"), slope.data());
              return to_numpy(std::move(slope), {s.count(), 6});
            })
+      .def("stresses",
+           [](Model& s, Doubles u, Doubles phi) {
+             std::vector<double> out(8 * s.count());
+             s.elastic->stresses(s.state(u, phi), out.data());
+             return to_numpy(std::move(out), {s.count(), 8});
+           })
       .def("invariants_jacobian",
            [](Model& s, Doubles u, Doubles phi) {
              std::vector<double> j(126 * s.count());

@@ -134,6 +134,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         f"task = {scene.scene.task!r}": scene.scene.task != "statics",
         "statics.nested is false": not statics.nested,
         "statics.load_steps is given": statics.load_steps is not None,
+        "statics.load_factors is given": bool(statics.load_factors),
         "supports or obstacles move": moves,
         "layers are kept apart": scene.contact.self_contact,
         "loads have no potential": shell.moment is not None

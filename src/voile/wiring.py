@@ -1,4 +1,4 @@
-"""From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. Used by the commands only."""
+"""From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. For commands only."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,12 @@ from voile.contact.motion import Motion, Spell, Track
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
+from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select, shares
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
+from voile.problem.support_forces import Held
 from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
@@ -37,6 +38,7 @@ class Model:
     obstacles: list[Obstacle]
     offset: float  # m, from the mid-surface to the surface that touches
     cuts: np.ndarray  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
+    holds: list[Held]  # what each [[fix]] holds
 
 
 def build_model(scene: Scene) -> Model:
@@ -48,7 +50,7 @@ def build_model(scene: Scene) -> Model:
     )
     topology = build_topology(surface.triangles)
     loops = boundary_loops(surface.triangles, topology, surface.points)
-    fixed, motion, clamped = _supports(scene, surface, topology, loops)
+    fixed, motion, clamped, holds = _supports(scene, surface, topology, loops)
     moves = _moves_in_time(scene, surface, loops)
     thickness, young, poisson, density = _fabric(scene, surface)
     shell = Shell(
@@ -68,7 +70,7 @@ def build_model(scene: Scene) -> Model:
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
         pressure=float(scene.loads.pressure),
-        force=_forces(scene, surface, loops),
+        force=_forces(scene, surface, topology, loops),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
         seam_bending=spec.seam_bending,
@@ -102,7 +104,7 @@ def build_model(scene: Scene) -> Model:
     if scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
-    return Model(shell, surface, rest, notes, bodies, offset, cuts)
+    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds)
 
 
 def _load_laws(scene: Scene) -> dict[str, Load]:
@@ -184,14 +186,15 @@ def _fabric(scene: Scene, surface: Surface) -> tuple[np.ndarray, ...]:
 
 
 def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]):
-    """Fixed axes (n, 3), motion (n, 3), clamped edges."""
-    n = len(surface.points)
+    """Fixed axes (n, 3), motion (n, 3), clamped edges, what each table holds."""
+    n, holds = len(surface.points), []
     fixed, motion = np.zeros((n, 3), dtype=bool), np.zeros((n, 3))
     clamped = np.zeros(len(topology.edges), dtype=bool)
     for k, fix in enumerate(scene.fix):
         where = f"{scene.path}: fix.{k}.select"
         vertices = select(surface, loops, fix.select, where)
         axes = ["xyz".index(a) for a in fix.axes]
+        holds.append(Held(fix.name or f"fix {k}", vertices, tuple(axes), fix.clamp))
         move = np.zeros(3) if fix.move is None else np.array(fix.move.displacement, dtype=float)
         for axis in axes:
             again = vertices[fixed[vertices, axis] & (motion[vertices, axis] != move[axis])]
@@ -208,7 +211,7 @@ def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np
             if not edges.any():
                 raise InputError(f"{where}: clamp = true needs at least one edge with both ends selected")
             clamped |= edges
-    return fixed, motion, np.flatnonzero(clamped).astype(np.int32)
+    return fixed, motion, np.flatnonzero(clamped).astype(np.int32), holds
 
 
 def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
@@ -248,14 +251,16 @@ def _motion(scene: Scene, move: Move) -> Motion:
     return Spell(**parts, begin=move.begin, end=until)
 
 
-def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarray | None:
-    """(n, 3) dead forces; a total is shared evenly over its selection."""
+def _forces(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]) -> np.ndarray | None:
+    """(n, 3) dead forces; a total is shared over its selection."""
     if not scene.loads.force:
         return None
     total = np.zeros((len(surface.points), 3))
     for k, force in enumerate(scene.loads.force):
-        vertices = select(surface, loops, force.select, f"{scene.path}: loads.force.{k}.select")
-        total[vertices] += np.array(force.value, dtype=float) / len(vertices)
+        where = f"{scene.path}: loads.force.{k}"
+        vertices = select(surface, loops, force.select, f"{where}.select")
+        part, _ = shares(surface, topology, vertices, force.share, where)
+        total += part[:, None] * np.array(force.value, dtype=float)
     return total
 
 

@@ -3,6 +3,7 @@
 from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
 from voile.mesh.select import inner_lines, select
+from voile.mesh.shares import shares
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
 from voile.mesh.topology import Topology, boundary_loops, build_topology
@@ -25,5 +26,6 @@ __all__ = [
     "read_rest",
     "select",
     "sewing_matrix",
+    "shares",
     "write_obj",
 ]

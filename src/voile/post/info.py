@@ -52,6 +52,8 @@ def _tree(summary: dict[str, Any], indent: str) -> list[str]:
             lines += [f"{indent}{key}", *_tree(value, indent + "  ")]
         elif key == "obstacles":
             lines += [f"{indent}{o['name']:24s} {_totals(o)}" for o in value]
+        elif key == "supports":
+            lines += [f"{indent}{o['name']:24s} {_support(o)}" for o in value]
         else:
             if key in ("method", "ways"):  # "ways" before version 0.2
                 value = [f"{way} {count}" for way, count in Counter(value).items()]
@@ -65,6 +67,14 @@ def _totals(obstacle: dict[str, Any]) -> str:
     return (
         f"{obstacle['vertices']} vertices, {obstacle['area']:.4g} m^2, force {_vector(obstacle['force'])} N, "
         f"moment {_vector(obstacle['moment'])} N m"
+    )
+
+
+def _support(support: dict[str, Any]) -> str:
+    """What the shell gets from a [[fix]]."""
+    return (
+        f"force {_vector(support['force'])} N, moment {_vector(support['moment'])} N m about "
+        f"{_vector(support['about'])} m"
     )
 
 

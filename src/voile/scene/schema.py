@@ -42,8 +42,9 @@ SELECT = Selection(
     }
 )
 _SELECT_MEANING = (
-    "vertices: nodes (indices in the mesh file, from 0), group, box [[min], [max]] in m, boundary "
-    "(index of the loop, 0 the longest), all = true; several keys select what satisfies them all"
+    "vertices: nodes (indices in the mesh file, from 0), group (of triangles, or of a Gmsh file's lines and points), "
+    "box [[min], [max]] in m, boundary (index of the loop, 0 the longest), all = true; several keys select what "
+    "satisfies them all"
 )
 
 
@@ -103,7 +104,13 @@ class Fabric:
 @dataclass(frozen=True, kw_only=True)
 class Force:
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
-    value: Vector3 = key(vector("N"), "dead force, total, shared evenly over the selection")
+    value: Vector3 = key(vector("N"), "dead force, total, shared over the selection")
+    share: str | None = key(
+        Choice("length", "area", "vertices"),
+        "how: by the length of the edges or the area of the triangles that the selection holds, or alike on all "
+        "vertices; default: by area of a patch, by length along a line, else alike",
+        default=None,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +145,7 @@ class Loads:
 
 @dataclass(frozen=True, kw_only=True)
 class Fix:
+    name: str = key(Text(), "title in the table of reactions; default: fix and its index", default="")
     select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
     clamp: bool = key(

@@ -38,7 +38,7 @@ def run(job: Run) -> str:
             f"{steps.short} steps end with a residual above their tolerance, by up to {steps.worst:.1e} times "
             f"(dynamics.iterations = {d.iterations}; history.h5: residual)"
         )
-    job.summarise(problem, path, dynamics=figures(problem, path))
+    job.summarise(problem, path, dynamics=figures(problem, path), supports=job.supports(problem, path))
     return "" if path.converged else path.reason
 
 

@@ -27,6 +27,7 @@ from voile.petsc_options import unused_options
 from voile.problem.contact import contact_fields, shell_layers, with_obstacles
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
+from voile.problem.support_forces import support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.scene import Scene
 from voile.solver.path import LoadStep
@@ -115,6 +116,15 @@ class Run:
             goes_on=goes_on,
         ) as writer:
             yield writer
+
+    def supports(self, problem: Problem, path: LoadPath | TimePath) -> list[dict]:
+        """What each [[fix]] exerts at the end of a path, on rank 0; nothing where nothing is held or computed.
+        Collective."""
+        if path.last is None or not problem.held:
+            return []
+        at = problem.at(path.last.factor if isinstance(path.last, LoadStep) else path.last.time)
+        holds, shell = (self.model.holds, self.model.shell) if self.model else (None, None)
+        return support_table(at, path.state, shell, holds) or []
 
     def summarise(
         self,
