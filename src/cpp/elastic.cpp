@@ -21,7 +21,8 @@ class ElasticModel final : public Elastic {
   std::vector<Real> weight;  // per block, 0 in lanes without a triangle
   std::vector<double> turn_weight;
   std::vector<Rest> rest;
-  std::vector<QuadraticRest> quadratic;
+  std::vector<RestOf<Model>> quadratic;
+  std::vector<Weave> weaves;  // per block; empty unless woven
   std::vector<Origin> origin;
   std::vector<Turn> turns;  // from the clamps that are at rest; empty without
   std::vector<Block> rest_blocks;
@@ -112,6 +113,8 @@ class ElasticModel final : public Elastic {
     rest.resize(blocks.size());
     origin.resize(blocks.size());
     quadratic.resize(by_hand ? blocks.size() : 0);
+    weaves.resize(Model::woven ? blocks.size() : 0);
+    set_weave(nullptr);
     set_weights(std::vector<double>(mesh.triangles, 1.0).data());
   }
 
@@ -153,8 +156,26 @@ class ElasticModel final : public Elastic {
         return gather(
             [&](int lane) { return values[blocks[b].first + std::min(lane, blocks[b].count - 1)]; });
       };
-      rest[b].fabric = {per_triangle(thickness), per_triangle(young), per_triangle(poisson)};
+      rest[b].fabric = {per_triangle(thickness), per_triangle(young), per_triangle(poisson),
+                        weaves.empty() ? nullptr : &weaves[b]};
       if constexpr (by_hand) quadratic[b] = quadratic_rest<Model>(rest[b]);
+    }
+  }
+
+  void set_weave(const double* weave) override {
+    static const double plain[Weave::LENGTH] = {1.0, 0.0, 1.0, 0.5};  // isotropic for poisson = 0
+    for (size_t b = 0; b < weaves.size(); ++b) {
+      auto number = [&](int k) {
+        return gather([&](int lane) {
+          const size_t t = (size_t)blocks[b].first + std::min(lane, blocks[b].count - 1);
+          return weave ? weave[Weave::LENGTH * t + k] : plain[k];
+        });
+      };
+      weaves[b] = {number(0), number(1), number(2), number(3), number(4),
+                   number(5), number(6), number(7), number(8)};
+      rest[b].fabric.weave = &weaves[b];
+      if constexpr (by_hand)
+        if (weave) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
 
@@ -344,6 +365,7 @@ std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh) {
   static const auto table = [] {
     std::map<std::string, Maker> t;
     add_material<StVK>(t, "stvk");
+    add_material<Orthotropic>(t, "orthotropic");
     add_material<NeoHookean>(t, "neo-hookean");
     add_material<TensionField>(t, "tension-field");
     t["discrete-shells//"] = make<DiscreteShells>;

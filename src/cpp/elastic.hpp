@@ -53,6 +53,8 @@ class Elastic {
   virtual void set_rest(const double* points, const int* corners, bool flat) = 0;
   // Per triangle: thickness (m), Young's modulus (Pa), Poisson's ratio.
   virtual void set_fabric(const double* thickness, const double* young, const double* poisson) = 0;
+  // Per triangle the LENGTH numbers of a Weave (models.hpp); woven materials only, others pass over it.
+  virtual void set_weave(const double* weave) = 0;
   // Only triangles with weight 1 count in the energy (each triangle counts on one rank).
   virtual void set_weights(const double* weight) = 0;
 

@@ -92,6 +92,7 @@ static void bind_model(nb::module_& m) {
              s.elastic->set_fabric(sized(thickness, s.count(), "thickness"), sized(young, s.count(), "young"),
                                    sized(poisson, s.count(), "poisson"));
            })
+      .def("set_weave", [](Model& s, Doubles w) { s.elastic->set_weave(sized(w, 9 * s.count(), "weave")); })
       .def("set_weights", [](Model& s, Doubles w) { s.elastic->set_weights(sized(w, s.count(), "weights")); })
       .def("set_turn_weights",
            [](Model& s, Doubles w) { s.elastic->set_turn_weights(sized(w, 3 * s.count(), "turn weights")); })

@@ -40,7 +40,7 @@ void store_mixed(const Block& block, const Local& w, const Rest& r, const Real o
     q.s[i] = T(s), q.s[i].d[3 + i] = c, q.c[i] = T(c), q.c[i].d[3 + i] = D(-1.0) * s;
   }
   Fabric<T> f{T(variable<9>(r.fabric.thickness, 6)), T(variable<9>(r.fabric.young, 7)),
-              T(variable<9>(r.fabric.poisson, 8))};
+              T(variable<9>(r.fabric.poisson, 8)), r.fabric.weave};
   auto e = model_energy<Model, T>(q, w.over, r, varied.rest, f);
   T sum = e.stretching + e.bending;
   for (int lane = 0; lane < block.count; ++lane) {

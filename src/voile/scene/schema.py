@@ -254,12 +254,19 @@ class Scene:
                 f'fits shell.model = "projective" only, which is "{self.shell.model}" here',
                 ("dynamics", "solver"),
             )
+        self._check_fields()
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
                 raise Rejected(
                     f'"{group}" has a [[fabric]] already; allowed: one per group', ("fabric", index, "group")
                 )
+
+    def _check_fields(self) -> None:
+        if self.output.fields and self.scene.task not in ("statics", "dynamics"):
+            raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
+        if "bending_moment" in self.output.fields and self.shell.model == "membrane":
+            raise Rejected('"bending_moment": a membrane has none', ("output", "fields"))
 
     def _check_estimate(self) -> None:
         if not self.inverse.also:

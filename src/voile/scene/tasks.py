@@ -168,3 +168,9 @@ class Inverse:
 @dataclass(frozen=True, kw_only=True)
 class Output:
     every: int = key(Integer(1), "write every so many steps; the last one always", default=1)
+    fields: tuple[str, ...] = key(
+        Array(Choice("membrane_force", "bending_moment", "strain", "stress", "von_mises", "energy_density")),
+        "what to write per triangle in every step: tensors and principal values of forces (N/m) and moments (N), "
+        "strains, stresses at both surfaces",
+        default=(),
+    )
