@@ -1,5 +1,6 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. For commands only."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,18 @@ import numpy as np
 from voile.contact.motion import Motion, Spell, Track
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
+from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
-from voile.mesh import Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select, shares
+from voile.mesh import (
+    Rest,
+    Surface,
+    boundary_loops,
+    inner_lines,
+    read_mesh,
+    read_rest,
+    select,
+    shares,
+)
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
@@ -20,10 +31,13 @@ from voile.problem.supports import check_supports
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
 from voile.scene.moves import Move, read_path
+from voile.scene.schema import Fabric
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
 SUNK_TOLERANCES = 5.0
+FABRIC = ("thickness", "young", "poisson", "density")
+WOVEN = ("young_weft", "shear", "bending_warp", "bending_weft", "bending_twist")
 CLOSED, GAPING = 1e-6, 0.01  # of the size: seams of a target that are closed, and those that do not close
 
 
@@ -52,7 +66,7 @@ def build_model(scene: Scene) -> Model:
     loops = boundary_loops(surface.triangles, topology, surface.points)
     fixed, motion, clamped, holds = _supports(scene, surface, topology, loops)
     moves = _moves_in_time(scene, surface, loops)
-    thickness, young, poisson, density = _fabric(scene, surface)
+    thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
     shell = Shell(
         points=surface.points,
         triangles=surface.triangles,
@@ -75,6 +89,7 @@ def build_model(scene: Scene) -> Model:
         topology=topology,
         seam_bending=spec.seam_bending,
         load_laws=_load_laws(scene),
+        weave=_weave(scene, surface, rest, thickness, young, poisson),
         **_seams(surface),
     )
     bodies = build_obstacles(scene)
@@ -168,21 +183,39 @@ def _seams(surface: Surface) -> dict[str, Any]:
     return {} if s is None else {"slave": s.slave, "first": s.first, "second": s.second, "weight": s.weight}
 
 
-def _fabric(scene: Scene, surface: Surface) -> tuple[np.ndarray, ...]:
-    """Per triangle thickness, young, poisson, density: [shell]'s, overridden by [[fabric]] per group."""
-    names = ("thickness", "young", "poisson", "density")
-    values = [np.full(len(surface.triangles), float(getattr(scene.shell, name))) for name in names]
+def _fabric(scene: Scene, surface: Surface, name: str) -> np.ndarray:
+    """(m,) a value per triangle: [shell]'s, NaN where it gives none, overridden by [[fabric]] per group."""
+    value = getattr(scene.shell, name)
+    values = np.full(len(surface.triangles), np.nan if value is None else float(value))
+    for chosen, fabric in _groups(scene, surface):
+        if getattr(fabric, name) is not None:
+            values[chosen] = getattr(fabric, name)
+    return values
+
+
+def _groups(scene: Scene, surface: Surface) -> Iterator[tuple[np.ndarray, Fabric]]:
+    """(m,) the triangles of each [[fabric]], and the fabric."""
     for k, fabric in enumerate(scene.fabric):
         if fabric.group not in surface.group_names:
             raise InputError(
                 f"{scene.path}: fabric.{k}.group = {fabric.group!r} is not a group of {surface.source}; "
                 f"there are: {', '.join(surface.group_names) or 'none'}"
             )
-        chosen = surface.group == surface.group_names.index(fabric.group)
-        for value, name in zip(values, names, strict=True):
-            if getattr(fabric, name) is not None:
-                value[chosen] = getattr(fabric, name)
-    return tuple(values)
+        yield surface.group == surface.group_names.index(fabric.group), fabric
+
+
+def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: np.ndarray) -> np.ndarray | None:
+    """(m, 9) of an orthotropic shell (elastic/weave.py) with thickness, young and poisson."""
+    if scene.shell.material != "orthotropic":
+        return None
+    woven = Woven(*(_fabric(scene, surface, name) for name in WOVEN))
+    warps = [(np.ones(len(surface.triangles), dtype=bool), scene.shell.warp or "v", "shell.warp")]
+    groups = enumerate(_groups(scene, surface))
+    warps += [(chosen, each.warp, f"fabric.{k}.warp") for k, (chosen, each) in groups if each.warp]
+    try:
+        return weave_rows(rest.points, rest.triangles, warp_of(rest, surface, warps), *fabric, woven=woven)
+    except InputError as error:
+        raise InputError(f"{scene.path}: {error}") from None
 
 
 def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]):

@@ -6,6 +6,7 @@ from voile.mesh.select import inner_lines, select
 from voile.mesh.shares import shares
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
+from voile.mesh.texture import texture_direction
 from voile.mesh.topology import Topology, boundary_loops, build_topology
 
 __all__ = [
@@ -27,5 +28,6 @@ __all__ = [
     "select",
     "sewing_matrix",
     "shares",
+    "texture_direction",
     "write_obj",
 ]

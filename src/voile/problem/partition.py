@@ -37,6 +37,7 @@ class Part:
     rest_vertex: np.ndarray
     rest_corners: np.ndarray
     fabric: np.ndarray  # (4, m) thickness, young, poisson, density
+    weave: np.ndarray  # (m, 9), or (m, 0) of fabrics that are not woven
     weight: np.ndarray
     matrix: sp.csr_matrix
     closure: np.ndarray  # (dofs,) closes the seams of the start shape
@@ -204,6 +205,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         rest_vertex=rest_vertex,
         rest_corners=rest_corners.reshape(-1, 3).astype(np.int32),
         fabric=fabric,
+        weave=np.zeros((len(triangles), 0)) if shell.weave is None else shell.weave[triangles],
         weight=counted.astype(float),
         matrix=matrix,
         closure=constraints.closure[dofs],

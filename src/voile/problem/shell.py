@@ -29,6 +29,7 @@ class Shell:
     moves: further motions of supports, of which vertices, along their Dirichlet axes.
     load_laws in time, by problem.loads.LOADS: in proportion to it where there is none.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
+    weave (m, 9): of woven fabrics (elastic/weave.py), None without.
     seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
     """
 
@@ -57,6 +58,7 @@ class Shell:
     load_laws: dict[str, Load] = field(default_factory=dict)
     closing: np.ndarray | None = None
     seam_bending: bool = False
+    weave: np.ndarray | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ FIELDS = {
     "strain": ("principal_strain",),
     "stress": ("stress_top", "stress_bottom"),
     "von_mises": ("von_mises",),
+    "fabric_strain": ("fabric_strain",),
     "energy_density": ("energy_density", "stretching_density", "bending_density"),
 }
 TENSOR = ((0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2))  # VTK's order: xx yy zz xy yz xz
@@ -52,6 +53,8 @@ def shell_fields(
         found |= {"bending_moment": _six(bending), "principal_bending_moment": _principal(bending, frame)}
     if "strain" in names:
         found["principal_strain"] = _principal(_green(edges, rest), _frame(rest))
+    if "fabric_strain" in names:
+        found["fabric_strain"] = _along_axes(_green(edges, rest), rest, part.weave[:, :2])
     if "stress" in names:
         found |= dict(zip(("stress_top", "stress_bottom"), map(_six, surface), strict=True))
     if "von_mises" in names:
@@ -98,6 +101,16 @@ def _green(edges: np.ndarray, rest: np.ndarray) -> np.ndarray:
     grown = 0.5 * (np.einsum("tai,tbi->tab", now, now) - metric)
     dual = np.linalg.solve(metric, home)
     return np.einsum("tab,tai,tbj->tij", grown, dual, dual)
+
+
+def _along_axes(strain: np.ndarray, rest: np.ndarray, warp: np.ndarray) -> np.ndarray:
+    """(m, 3) extension along the warp, with components (m, 2) in the edges from the first corner, and along the weft,
+    and the change of their angle."""
+    first, side = warp[:, :1] * rest[2] - warp[:, 1:] * rest[1], np.cross(rest[2], -rest[1])
+    second = np.cross(side, first)
+    w, f = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (first, second))
+    pairs = ((w, w, 1.0), (f, f, 1.0), (w, f, 2.0))
+    return np.column_stack([factor * np.einsum("tij,ti,tj->t", strain, a, b) for a, b, factor in pairs])
 
 
 def _principal(tensor: np.ndarray, frame: np.ndarray) -> np.ndarray:

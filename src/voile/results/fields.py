@@ -51,6 +51,7 @@ CELL_FIELDS = {
     ),
     "principal_bending_moment": Field("N", "principal bending moments per length, the larger first", 2),
     "principal_strain": Field("", "principal Green strains, the larger first", 2),
+    "fabric_strain": Field("", "Green strain along the warp, along the weft, and their shear angle", 3),
     "stress_top": Field("Pa", "stress at the surface on the side of the normal, xx yy zz xy yz xz", 6),
     "stress_bottom": Field("Pa", "stress at the other surface, xx yy zz xy yz xz", 6),
     "von_mises": Field("Pa", "von Mises stress, the larger of both surfaces"),

@@ -9,6 +9,7 @@ from typing import Any
 
 from voile.errors import InputError
 from voile.keys import Rejected, Table
+from voile.scene.library import expand
 from voile.scene.schema import Scene, homes
 
 KeyPath = tuple[str | int, ...]
@@ -36,6 +37,7 @@ def read_scene(path: str | Path, overrides: Iterable[str] = ()) -> Scene:
             new: f"--set {override}"
         }
     try:
+        expand(tree)
         scene = Table(Scene).read(tree)
     except Rejected as error:
         name, problem = ".".join(map(_shown, error.path)), error.problem

@@ -17,6 +17,7 @@ from voile.keys import (
     Box,
     Choice,
     File,
+    Grain,
     Integer,
     Number,
     Rejected,
@@ -58,6 +59,14 @@ THICKNESS = Number("m", above=0)
 YOUNG = Number("Pa", above=0)
 POISSON = Number(above=-1, below=0.5)
 DENSITY = Number("kg/m^3", above=0)
+BENDS = Number("N m", above=0)
+LIBRARY = (
+    "orthotropic: name in the library of measured fabrics, whose values hold where no other keys give them"
+)
+WEFT, SHEAR = "orthotropic: Young's modulus along the weft", "orthotropic: shear modulus"
+STRIPS = "orthotropic: bending stiffness per width of strips along the warp"
+TWIST = "orthotropic: twisting moment per length over twice the twist"
+WARP = "orthotropic: direction of the warp on the rest shape, or the texture coordinate along which it runs"
 MOST_STEPS = 1e9  # of a run in time: years of computing
 
 
@@ -77,6 +86,13 @@ class Shell:
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
     density: float = key(DENSITY, "mass density")
+    fabric: str = key(Text(), LIBRARY, default="")
+    young_weft: float | None = key(YOUNG, f"{WEFT}; default: that of the warp", default=None)
+    shear: float | None = key(YOUNG, f"{SHEAR}; default: by Huber's rule", default=None)
+    bending_warp: float | None = key(BENDS, f"{STRIPS}; default: of the thickness", default=None)
+    bending_weft: float | None = key(BENDS, "the same along the weft", default=None)
+    bending_twist: float | None = key(BENDS, f"{TWIST}; default: by Huber's rule", default=None)
+    warp: Vector3 | str | None = key(Grain(), f"{WARP}; default: v", default=None)
     seam_bending: bool = key(
         Boolean(),
         "sewn edges whose ends are sewn vertex to vertex bend like the cloth; false: they turn freely",
@@ -99,6 +115,13 @@ class Fabric:
     poisson: float | None = key(POISSON, "Poisson's ratio; default: the shell's", default=None)
     thickness: float | None = key(THICKNESS, "thickness; default: the shell's", default=None)
     density: float | None = key(DENSITY, "mass density; default: the shell's", default=None)
+    fabric: str = key(Text(), LIBRARY, default="")
+    young_weft: float | None = key(YOUNG, f"{WEFT}; default: the shell's", default=None)
+    shear: float | None = key(YOUNG, f"{SHEAR}; default: the shell's", default=None)
+    bending_warp: float | None = key(BENDS, f"{STRIPS}; default: the shell's", default=None)
+    bending_weft: float | None = key(BENDS, "the same along the weft", default=None)
+    bending_twist: float | None = key(BENDS, f"{TWIST}; default: the shell's", default=None)
+    warp: Vector3 | str | None = key(Grain(), f"{WARP}; default: the shell's", default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,6 +278,7 @@ class Scene:
                 ("dynamics", "solver"),
             )
         self._check_fields()
+        self._check_woven()
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
@@ -267,6 +291,20 @@ class Scene:
             raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
         if "bending_moment" in self.output.fields and self.shell.model == "membrane":
             raise Rejected('"bending_moment": a membrane has none', ("output", "fields"))
+        if "fabric_strain" in self.output.fields and self.shell.material != "orthotropic":
+            raise Rejected(
+                '"fabric_strain": allowed with shell.material = "orthotropic"', ("output", "fields")
+            )
+
+    def _check_woven(self) -> None:
+        woven = self.shell.material == "orthotropic"
+        if woven and self.shell.model not in WOVEN_MODELS:
+            allowed = '"orthotropic" fits shell.model = "koiter" or "membrane"'
+            raise Rejected(f'{allowed}, not "{self.shell.model}"', ("shell", "material"))
+        for path, table in (("shell",), self.shell), *((("fabric", k), t) for k, t in enumerate(self.fabric)):
+            given = [name for name in WOVEN if getattr(table, name) not in (None, "")]
+            if given and not woven:
+                raise Rejected('allowed with shell.material = "orthotropic"', (*path, given[0]))
 
     def _check_estimate(self) -> None:
         if not self.inverse.also:
@@ -281,6 +319,10 @@ class Scene:
                 "no [[obstacle]]",
                 ("inverse", "estimate"),
             )
+
+
+WOVEN = ("fabric", "young_weft", "shear", "bending_warp", "bending_weft", "bending_twist", "warp")
+WOVEN_MODELS = ("koiter", "membrane")
 
 
 def homes(name: str) -> list[str]:

@@ -13,6 +13,18 @@ TASKS = {
 }  # whether this version runs them
 
 
+# What output.fields may name; what they write is in problem/stress_fields.py.
+FIELDS = (
+    "membrane_force",
+    "bending_moment",
+    "strain",
+    "stress",
+    "von_mises",
+    "fabric_strain",
+    "energy_density",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Statics:
     load_steps: int | None = key(
@@ -169,7 +181,7 @@ class Inverse:
 class Output:
     every: int = key(Integer(1), "write every so many steps; the last one always", default=1)
     fields: tuple[str, ...] = key(
-        Array(Choice("membrane_force", "bending_moment", "strain", "stress", "von_mises", "energy_density")),
+        Array(Choice(*FIELDS)),
         "what to write per triangle in every step: tensors and principal values of forces (N/m) and moments (N), "
         "strains, stresses at both surfaces",
         default=(),
