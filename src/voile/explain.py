@@ -80,6 +80,14 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
             "loads.moment" if shell.moment is not None else "no [[loads.moment]]",
         ),
         (
+            "springs",
+            shell.springs is not None or shell.bars is not None,
+            f"[[spring]] at {0 if shell.springs is None else int(shell.springs.any(axis=1).sum())} vertices, "
+            f"{0 if shell.bars is None else len(shell.bars)} bars of [[band]] and [[tie]]"
+            if shell.springs is not None or shell.bars is not None
+            else "no [[spring]], [[band]] or [[tie]]",
+        ),
+        (
             "moving supports",
             supports_move(shell),
             "fix.move" if supports_move(shell) else "no support moves",
@@ -140,6 +148,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         "statics.load_steps is given": statics.load_steps is not None,
         "statics.load_factors is given": bool(statics.load_factors),
         "supports or obstacles move": moves,
+        "there are springs, bands or ties": shell.springs is not None or shell.bars is not None,
         "layers are kept apart": scene.contact.self_contact,
         "loads have no potential": shell.moment is not None
         or (shell.pressure and pressure_origin(shell) is None),

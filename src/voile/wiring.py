@@ -12,16 +12,7 @@ from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
-from voile.mesh import (
-    Rest,
-    Surface,
-    boundary_loops,
-    inner_lines,
-    read_mesh,
-    read_rest,
-    select,
-    shares,
-)
+from voile.mesh import Attached, Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
@@ -66,6 +57,7 @@ def build_model(scene: Scene) -> Model:
     loops = boundary_loops(surface.triangles, topology, surface.points)
     fixed, motion, clamped, holds = _supports(scene, surface, topology, loops)
     moves = _moves_in_time(scene, surface, loops)
+    on = Attached(surface, topology, loops, str(scene.path))
     thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
     shell = Shell(
         points=surface.points,
@@ -84,11 +76,14 @@ def build_model(scene: Scene) -> Model:
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
         pressure=float(scene.loads.pressure),
-        force=_forces(scene, surface, topology, loops),
+        force=on.total("loads.force", [(force, np.array(force.value)) for force in scene.loads.force]),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
         seam_bending=spec.seam_bending,
         load_laws=_load_laws(scene),
+        springs=on.springs(scene.spring),
+        bars=on.bars(scene.band, scene.tie),
+        extra_mass=on.total("mass", [(mass, mass.value) for mass in scene.mass]),
         weave=_weave(scene, surface, rest, thickness, young, poisson),
         **_seams(surface),
     )
@@ -282,19 +277,6 @@ def _motion(scene: Scene, move: Move) -> Motion:
         "rotation": lasts * np.array(move.angular_velocity),
     }
     return Spell(**parts, begin=move.begin, end=until)
-
-
-def _forces(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]) -> np.ndarray | None:
-    """(n, 3) dead forces; a total is shared over its selection."""
-    if not scene.loads.force:
-        return None
-    total = np.zeros((len(surface.points), 3))
-    for k, force in enumerate(scene.loads.force):
-        where = f"{scene.path}: loads.force.{k}"
-        vertices = select(surface, loops, force.select, f"{where}.select")
-        part, _ = shares(surface, topology, vertices, force.share, where)
-        total += part[:, None] * np.array(force.value, dtype=float)
-    return total
 
 
 def _moments(

@@ -1,9 +1,10 @@
 """Triangle meshes: reading, checks, rest shapes, seams, selections, lines, topology, patterns. Lengths in metres."""
 
+from voile.mesh.attached import Attached
 from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
 from voile.mesh.select import inner_lines, select
-from voile.mesh.shares import shares
+from voile.mesh.shares import edges_of, portions, shares
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
 from voile.mesh.texture import texture_direction
@@ -11,6 +12,7 @@ from voile.mesh.topology import Topology, boundary_loops, build_topology
 
 __all__ = [
     "METRES",
+    "Attached",
     "Notches",
     "Pattern",
     "Piece",
@@ -21,7 +23,9 @@ __all__ = [
     "Topology",
     "boundary_loops",
     "build_topology",
+    "edges_of",
     "inner_lines",
+    "portions",
     "read_body",
     "read_mesh",
     "read_rest",

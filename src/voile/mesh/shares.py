@@ -12,7 +12,16 @@ SHARES = ("length", "area", "vertices")
 def shares(
     surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
 ) -> tuple[np.ndarray, str]:
-    """(n,) parts of 1 on the selected vertices (k,), zero elsewhere, and how they are shared.
+    """(n,) parts of 1 on the selected vertices (k,), zero elsewhere, and how they are shared; see `portions`."""
+    found, by = portions(surface, topology, vertices, by, where)
+    return found / found.sum(), by
+
+
+def portions(
+    surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
+) -> tuple[np.ndarray, str]:
+    """(n,) what each of the selected vertices (k,) has of their length (m), area (m^2) or number, zero elsewhere, and
+    which of them it is.
 
     by length: an edge with both ends selected gives half its length to each (boundary edges only, where they reach all
     that is selected); by area: a triangle with all corners selected gives a third of its area to each; by vertices:
@@ -29,9 +38,9 @@ def shares(
         missing = int(surface.input_vertex[np.flatnonzero(inside & (found[by] == 0.0))[0]])
         what = "edge with both ends" if by == "length" else "triangle with all corners"
         raise InputError(
-            f'{where}.share = "{by}": vertex {missing} is on no {what} selected; allowed there: "vertices"'
+            f'{where} = "{by}": vertex {missing} is on no {what} selected; allowed there: "vertices"'
         )
-    return found[by] / found[by].sum(), by
+    return found[by], by
 
 
 def _reaches(weight: np.ndarray, inside: np.ndarray) -> bool:
@@ -45,12 +54,20 @@ def _weights(surface: Surface, topology: Topology, inside: np.ndarray, by: str) 
     if by == "area":
         t = surface.triangles[inside[surface.triangles].all(axis=1)]
         twice = np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
-        return np.bincount(t.ravel(), np.repeat(twice, 3), n)
+        return np.bincount(t.ravel(), np.repeat(twice / 6.0, 3), n)
 
     def along(edges: np.ndarray) -> np.ndarray:
-        edges = edges[inside[edges].all(axis=1)]
         length = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
-        return np.bincount(edges.ravel(), np.repeat(length, 2), n)
+        return np.bincount(edges.ravel(), np.repeat(length / 2.0, 2), n)
 
-    rim = along(topology.edges[topology.boundary_edges])
-    return rim if _reaches(rim, inside) else along(topology.edges)
+    return along(edges_of(topology, inside))
+
+
+def edges_of(topology: Topology, inside: np.ndarray) -> np.ndarray:
+    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it."""
+    edges = topology.edges[inside[topology.edges].all(axis=1)]
+    rim = topology.edges[topology.boundary_edges]
+    rim = rim[inside[rim].all(axis=1)]
+    reached = np.zeros(len(inside), dtype=bool)
+    reached[rim] = True
+    return rim if (reached >= inside).all() else edges

@@ -86,6 +86,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         pressure=shell.pressure,
         force=None if shell.force is None else prolongation.gather(shell.force),
         load_laws=shell.load_laws,
+        extra_mass=None if shell.extra_mass is None else prolongation.gather(shell.extra_mass),
         topology=topology,
         seam_bending=shell.seam_bending,
         **seams.records(number, hang, hang_weight),

@@ -28,7 +28,7 @@ def support_forces(problem: Problem, y: PETSc.Vec) -> np.ndarray:
     """(local vertices, 3) forces (N) that supports exert on the shell, complete for this rank's own: what balances
     elastic forces, loads and contact along degrees of freedom that follow no unknown. Inertia is left out."""
     at, count = problem.point(y), problem.layout.vertices
-    forces = (problem.elastic.forces(at) + problem.loads.forces(at))[:count]
+    forces = problem.inner_forces(at)[:count]
     if problem.contact:
         forces += problem.contact.force(at.positions, problem.time, frozen=False).ravel()
     held = 1.0 - np.asarray(problem.part.matrix[:count].sum(axis=1)).ravel()

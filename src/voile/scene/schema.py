@@ -11,17 +11,13 @@ from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
 from voile.keys import (
-    Array,
     Axes,
     Boolean,
-    Box,
     Choice,
     File,
     Grain,
-    Integer,
     Number,
     Rejected,
-    Selection,
     Table,
     Tables,
     Text,
@@ -29,24 +25,10 @@ from voile.keys import (
     key,
     vector,
 )
+from voile.scene.loads import SELECT, SELECTED, Band, Loads, Mass, Spring, Tie
 from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Output, Statics
-
-SELECT = Selection(
-    {
-        "nodes": Array(Integer(), least=1, lone=True),
-        "group": Array(Text(filled=True), least=1, lone=True),
-        "box": Box(),
-        "boundary": Array(Integer(), least=1, lone=True),
-        "all": Boolean(only_true=True),
-    }
-)
-_SELECT_MEANING = (
-    "vertices: nodes (indices in the mesh file, from 0), group (of triangles, or of a Gmsh file's lines and points), "
-    "box [[min], [max]] in m, boundary (index of the loop, 0 the longest), all = true; several keys select what "
-    "satisfies them all"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,51 +107,9 @@ class Fabric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Force:
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
-    value: Vector3 = key(vector("N"), "dead force, total, shared over the selection")
-    share: str | None = key(
-        Choice("length", "area", "vertices"),
-        "how: by the length of the edges or the area of the triangles that the selection holds, or alike on all "
-        "vertices; default: by area of a patch, by length along a line, else alike",
-        default=None,
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moment:
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
-    value: float = key(Number("N m"), "moment about the selection's boundary edges, total, shared by length")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Loads:
-    gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
-    pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
-    wind: Vector3 = key(vector("m/s"), "dynamics: velocity of the air", default=(0.0, 0.0, 0.0))
-    drag: float = key(
-        Number("kg/m^3", least=0),
-        "dynamics: force per area over the square of the air's normal velocity, relative to the shell",
-        default=0.0,
-    )
-    history: tuple[tuple[float, ...], ...] = key(
-        Array(Array(Number(), length=2)),
-        "dynamics: (t, factor) on gravity, pressure, forces and moments, linear between",
-        default=(),
-    )
-    force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
-    moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
-
-    def check(self, given: set[str]) -> None:
-        for index, row in enumerate(self.history):
-            if index and row[0] <= self.history[index - 1][0]:
-                raise Rejected(f"t = {row[0]:g} s is not after the time before", ("history", index))
-
-
-@dataclass(frozen=True, kw_only=True)
 class Fix:
     name: str = key(Text(), "title in the table of reactions; default: fix and its index", default="")
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
+    select: dict[str, Any] = key(SELECT, SELECTED)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
     clamp: bool = key(
         Boolean(),
@@ -223,6 +163,10 @@ class Scene:
     fabric: tuple[Fabric, ...] = key(Tables(Fabric), "other fabrics, by group of the mesh", default=())
     loads: Loads = key(Table(Loads), "loads", default=Loads())
     fix: tuple[Fix, ...] = key(Tables(Fix), "supports", default=())
+    spring: tuple[Spring, ...] = key(Tables(Spring), "elastic supports", default=())
+    band: tuple[Band, ...] = key(Tables(Band), "elastic bands along edges", default=())
+    tie: tuple[Tie, ...] = key(Tables(Tie), "bars between two vertices", default=())
+    mass: tuple[Mass, ...] = key(Tables(Mass), "masses beside the fabric's", default=())
     obstacle: tuple[Body, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
     contact: Contact = key(Table(Contact), "contact", default=Contact())
     statics: Statics = key(Table(Statics), "task = statics", default=Statics())
@@ -279,6 +223,7 @@ class Scene:
             )
         self._check_fields()
         self._check_woven()
+        self._check_springs()
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
@@ -295,6 +240,13 @@ class Scene:
             raise Rejected(
                 '"fabric_strain": allowed with shell.material = "orthotropic"', ("output", "fields")
             )
+
+    def _check_springs(self) -> None:
+        given = next((name for name in ("spring", "band", "tie") if getattr(self, name)), None)
+        if given and self.scene.task not in ("statics", "dynamics"):
+            raise Rejected("allowed with task = statics or dynamics", (given,))
+        if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
+            raise Rejected('allowed with dynamics.solver = "newton"', (given,))
 
     def _check_woven(self) -> None:
         woven = self.shell.material == "orthotropic"
