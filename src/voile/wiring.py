@@ -12,7 +12,17 @@ from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
-from voile.mesh import Attached, Rest, Surface, boundary_loops, inner_lines, read_mesh, read_rest, select
+from voile.mesh import (
+    Attached,
+    Rest,
+    Surface,
+    boundary_loops,
+    inner_lines,
+    read_mesh,
+    read_rest,
+    select,
+    shrunk,
+)
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
@@ -59,6 +69,10 @@ def build_model(scene: Scene) -> Model:
     moves = _moves_in_time(scene, surface, loops)
     on = Attached(surface, topology, loops, str(scene.path))
     thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
+    shrink = _fabric(scene, surface, "shrink")
+    weave = _weave(scene, surface, rest, thickness, young, poisson)
+    if shrink.any():
+        rest, density = shrunk(rest, 1.0 - shrink, f"{scene.path}: shrink"), density / (1.0 - shrink) ** 2
     shell = Shell(
         points=surface.points,
         triangles=surface.triangles,
@@ -84,7 +98,7 @@ def build_model(scene: Scene) -> Model:
         springs=on.springs(scene.spring),
         bars=on.bars(scene.band, scene.tie),
         extra_mass=on.total("mass", [(mass, mass.value) for mass in scene.mass]),
-        weave=_weave(scene, surface, rest, thickness, young, poisson),
+        weave=weave,
         **_seams(surface),
     )
     bodies = build_obstacles(scene)

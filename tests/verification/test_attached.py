@@ -96,6 +96,7 @@ SLIDES = (
     + table("fix", "{ box = [[-1, -1, -1], [0.001, -0.019, 1]] }")
     + table("fix", ALL, axes="z")
 )
+CORNER = "{ box = [[-1, -1, -1], [0.001, -0.019, 1]] }"
 SIDES = ("{ box = [[-1, -1, -1], [1, -0.0199, 1]] }", "{ box = [[-1, 0.0199, -1], [1, 1, 1]] }")
 
 
@@ -204,4 +205,60 @@ def test_bad_tables_are_refused(tmp_path, capsys, lines, message):
     if "local-global" in lines:
         text = text.replace("poisson", "model = 'projective'\npoisson")
     assert main(["run", write(tmp_path, text, 4, 1), "-o", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_free_sheet_shrinks_as_a_whole(tmp_path):
+    text = (
+        HEAD.replace("[loads]", "shrink = 0.02\n[loads]")
+        + table("fix", CORNER)
+        + table("fix", LEFT, axes="xz")
+    )
+    result = run(tmp_path, write(tmp_path, text + table("spring", ALL, stiffness=1e-3, axes="z")))
+    np.testing.assert_allclose(np.ptp(result.points(), axis=0)[:2], [0.98 * LENGTH, 0.98 * WIDTH], rtol=1e-9)
+    assert summary(tmp_path)["energy"]["stretching"] < 1e-12
+
+
+@pytest.mark.parametrize("shrink", [0.01, 0.03])
+def test_held_strips_pull_as_they_shrink(tmp_path, shrink):
+    """Ends held 0.4 m apart: the pull of Green's strain over the shrunk width. Where the halves shrink by different
+    shares their widths meet only by shear, near their border."""
+    u, _, triangles, _ = mapped(20, 2, "crossed")
+    text = HEAD.replace("[loads]", "shrink = 0.01\nmodel = 'membrane'\n[loads]")
+    text += table("fix", RIGHT, axes="x") + SLIDES + f"[[fabric]]\ngroup = 'b'\nshrink = {shrink}\n"
+    scene = write(tmp_path, text)
+    lines = [line for line in (tmp_path / "mesh.obj").read_text().splitlines() if line.startswith("v")]
+    left = u[triangles].mean(axis=1) < 0.5
+    for name, mine in (("a", left), ("b", ~left)):
+        lines += [f"g {name}"] + ["f " + " ".join(map(str, t)) for t in triangles[mine] + 1]
+    (tmp_path / "mesh.obj").write_text("\n".join(lines) + "\n")
+    result = run(tmp_path, scene, "statics.tolerance=1e-11", "loads.gravity=[0,0,-1]")
+    one, other = 0.99, 1.0 - shrink
+
+    def pull(stretch):  # over the width at rest
+        return YOUNG * THICKNESS * WIDTH * 0.5 * (stretch**2 - 1.0) * stretch
+
+    middle = brentq(
+        lambda x: one * pull(5.0 * x / one) - other * pull(5.0 * (0.4 - x) / other), 0.15, 0.25, xtol=1e-15
+    )
+    exact = shrink == 0.01
+    at = np.abs(result.start[:, 0] - 0.2) < 1e-9
+    assert result.points()[at, 0].mean() == pytest.approx(middle, rel=1e-9 if exact else 2e-3)
+    end = summary(tmp_path)["supports"][0]
+    assert end["force"][0] == pytest.approx(one * pull(5.0 * middle / one), rel=1e-7 if exact else 3e-2)
+    mass = -sum(each["force"][2] for each in summary(tmp_path)["supports"])
+    assert abs(mass) == pytest.approx(MASS, rel=1e-9)  # shrinking loses none
+
+
+@pytest.mark.parametrize(
+    ("sets", "message"),
+    [
+        (["shell.shrink=1"], "shell.shrink: 1 is not allowed"),
+        (["shell.shrink=0.1", "scene.task=inverse"], "shell.shrink: allowed with task = inverse: 0"),
+    ],
+)
+def test_bad_shrinks_are_refused(tmp_path, capsys, sets, message):
+    scene = write(tmp_path, HEAD + table("fix", LEFT, clamp=True), 4, 1)
+    options = [word for each in sets for word in ("--set", each)]
+    assert main(["run", scene, "-o", str(tmp_path / "out"), *options]) == 2
     assert message in capsys.readouterr().err

@@ -5,6 +5,7 @@ from voile.mesh.obj import METRES, write_obj
 from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
 from voile.mesh.select import inner_lines, select
 from voile.mesh.shares import edges_of, portions, shares
+from voile.mesh.shrink import shrunk
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
 from voile.mesh.texture import texture_direction
@@ -32,6 +33,7 @@ __all__ = [
     "select",
     "sewing_matrix",
     "shares",
+    "shrunk",
     "texture_direction",
     "write_obj",
 ]

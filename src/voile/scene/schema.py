@@ -41,6 +41,7 @@ THICKNESS = Number("m", above=0)
 YOUNG = Number("Pa", above=0)
 POISSON = Number(above=-1, below=0.5)
 DENSITY = Number("kg/m^3", above=0)
+SHRINK = Number(above=-1, below=1)
 BENDS = Number("N m", above=0)
 LIBRARY = (
     "orthotropic: name in the library of measured fabrics, whose values hold where no other keys give them"
@@ -68,6 +69,7 @@ class Shell:
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
     density: float = key(DENSITY, "mass density")
+    shrink: float = key(SHRINK, "what its edges lose of their rest length; below 0 they grow", default=0.0)
     fabric: str = key(Text(), LIBRARY, default="")
     young_weft: float | None = key(YOUNG, f"{WEFT}; default: that of the warp", default=None)
     shear: float | None = key(YOUNG, f"{SHEAR}; default: by Huber's rule", default=None)
@@ -97,6 +99,9 @@ class Fabric:
     poisson: float | None = key(POISSON, "Poisson's ratio; default: the shell's", default=None)
     thickness: float | None = key(THICKNESS, "thickness; default: the shell's", default=None)
     density: float | None = key(DENSITY, "mass density; default: the shell's", default=None)
+    shrink: float | None = key(
+        SHRINK, "what its edges lose of their rest length; default: the shell's", default=None
+    )
     fabric: str = key(Text(), LIBRARY, default="")
     young_weft: float | None = key(YOUNG, f"{WEFT}; default: the shell's", default=None)
     shear: float | None = key(YOUNG, f"{SHEAR}; default: the shell's", default=None)
@@ -242,6 +247,12 @@ class Scene:
             )
 
     def _check_springs(self) -> None:
+        inverse = self.scene.task == "inverse"
+        if inverse and self.shell.shrink:
+            raise Rejected("allowed with task = inverse: 0", ("shell", "shrink"))
+        for index, fabric in enumerate(self.fabric if inverse else ()):
+            if fabric.shrink:
+                raise Rejected("allowed with task = inverse: 0", ("fabric", index, "shrink"))
         given = next((name for name in ("spring", "band", "tie") if getattr(self, name)), None)
         if given and self.scene.task not in ("statics", "dynamics"):
             raise Rejected("allowed with task = statics or dynamics", (given,))
