@@ -7,6 +7,7 @@ from scipy.spatial import Delaunay
 
 from voile import _kernels
 from voile.elastic import BENDING, MATERIALS, model_name
+from voile.elastic.weave import Woven, weave_rows
 from voile.mesh.topology import build_topology
 
 KOITER = [("koiter", bending, material) for bending in BENDING for material in MATERIALS]
@@ -17,6 +18,24 @@ ALL_MODELS = [
     ("projective", "tan", "stvk"),
 ]
 each_model = pytest.mark.parametrize("model", ALL_MODELS, ids="-".join)
+
+
+def weave_of(rest, triangles, thickness, young):
+    """A fabric with weaker weft and shear and a warp that turns from triangle to triangle; every other triangle bends
+    by its own stiffness, not by its thickness."""
+    m = len(triangles)
+    ones, every = np.ones(m), np.where(np.arange(m) % 2, np.nan, 1.0)
+    cube = young * thickness**3 / 12.0
+    woven = Woven(
+        0.3 * young * ones, 0.2 * young * ones, 0.9 * cube * every, 0.5 * cube * every, 0.3 * cube * every
+    )
+    warp = np.column_stack([np.cos(np.arange(m)), np.sin(np.arange(m)), 0.3 * ones])
+    fabric = {"thickness": thickness * ones, "young": young * ones, "poisson": 0.3 * ones}
+    rows = weave_rows(rest, triangles, warp, **fabric, woven=woven)
+    rows[:, :2] = warp[
+        :, :2
+    ]  # components along the edges: the warp goes with the triangle to another rest shape
+    return rows
 
 
 class Shell:
@@ -38,6 +57,8 @@ class Shell:
         self.kernel.set_rest(rest, triangles, flat)
         ones = np.ones(len(triangles))
         self.kernel.set_fabric(thickness * ones, young * ones, poisson * ones)
+        if model[2] == "orthotropic":
+            self.kernel.set_weave(weave_of(rest, triangles, thickness, young))
         self.size = rest.size + (len(top.edges) if self.kernel.directors else 0)
         identity = np.minimum(np.arange(rest.size + len(top.edges) + 1), self.size).astype(np.int32)
         self.scatter = _kernels.Scatter(

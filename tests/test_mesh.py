@@ -6,7 +6,7 @@ import pytest
 from mesh_helpers import SQUARE, SQUARE_POINTS, areas, generator, loops_of, obj
 
 from voile.errors import InputError
-from voile.mesh import Stitches, read_body, read_mesh, read_rest, write_obj
+from voile.mesh import Stitches, read_body, read_mesh, read_rest, select, write_obj
 
 CORNERS = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -188,6 +188,28 @@ def test_meshio_splits_quads_and_keeps_physical_groups(tmp_path):
     surface = read_mesh(path)
     assert surface.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]]
     assert surface.group_names == ("body", "collar") and surface.group.tolist() == [0, 1, 1, 1]
+
+
+def test_physical_lines_and_points_of_gmsh_select_vertices(tmp_path):
+    """Also where a line has the name of a surface; a line outside the surface selects nothing."""
+    points = np.concatenate([SQUARE_POINTS, [[2, 0, 0], [3, 0, 0]]])
+    cells = [("vertex", [[2]]), ("line", [[0, 1], [4, 5]]), ("line", [[1, 2]]), ("triangle", CORNERS)]
+    tags = [np.array([9]), np.array([3, 5]), np.array([7]), np.array([7, 8])]
+    names = {"tip": [9, 0], "waist": [3, 1], "away": [5, 1], "body": [7, 2], "collar": [8, 2], "side": [7, 1]}
+    mesh = meshio.Mesh(
+        points,
+        [(kind, np.array(corners)) for kind, corners in cells],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={name: np.array(key) for name, key in names.items()},
+    )
+    path = tmp_path / "lines.msh"
+    mesh.write(path, file_format="gmsh22")
+    surface = read_mesh(path)
+    assert surface.group_names == ("body", "collar") and len(surface.points) == 4
+    for name, there in (("tip", [2]), ("waist", [0, 1]), ("side", [1, 2]), ("collar", [0, 2, 3])):
+        assert select(surface, loops_of(surface), {"group": name}, "fix.0.select").tolist() == there
+    with pytest.raises(InputError, match="no group 'away' in .*, allowed: body, collar, tip, waist, side"):
+        select(surface, loops_of(surface), {"group": "away"}, "fix.0.select")
 
 
 def test_meshio_plane_points_and_cell_sets(tmp_path):

@@ -71,6 +71,19 @@ def test_without_options_the_programs_own_defaults_are_not_named(run):
     assert "PETSc options" not in done.stdout + done.stderr and summary["unused_options"] == []
 
 
+@pytest.mark.parametrize(
+    "words", ["-pc_factor_mat_solver_type cholmod", "-pc_type lu -pc_factor_mat_solver_type umfpack"]
+)
+def test_stability_is_counted_whatever_solves_the_systems(run, tmp_path, words):
+    """CHOLMOD and LU count no negative eigenvalues; the end, on a plane, is stable all the same."""
+    plane = "[[obstacle]]\nshape = 'plane'\npoint = [0, 0, -0.01]\nnormal = [0, 0, 1]\nfriction = 0.3\n"
+    (tmp_path / "scene.toml").write_text(SCENE + plane)
+    done, summary = run(*words.split())
+    assert done.returncode == 0, done.stderr
+    assert summary["stable"] is True and summary["contact"]["active"] > 0
+    assert summary["notes"] == [] and summary["unused_options"] == []
+
+
 def test_a_stray_word_is_bad_input(run):
     done, summary = run("snes_monitor")
     assert done.returncode == 2 and not summary

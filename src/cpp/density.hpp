@@ -44,6 +44,15 @@ struct QuadraticRest {
   Real major, minor, ratio;
 };
 
+// The same of any quadratic material: matrices (upper triangle 00 01 02 11 12 22) of twice the stretching
+// energy in dl and of twice the bending energy in II - II_rest.
+struct WovenRest {
+  Real height[3];
+  Real stretch[6], bend[6];
+};
+template <class Model>
+using RestOf = std::conditional_t<Model::woven, WovenRest, QuadraticRest>;
+
 template <int N>
 inline Dual<Real, N> variable(const Real& v, int i) {
   Dual<Real, N> r(v);
@@ -76,17 +85,9 @@ inline Dual<Dual<Real, N>, M> wave2(const Real& v, const Real& slope, int i) {
 
 // ---- any model by automatic differentiation ----
 
-// A number as a constant of the type T.
-template <class T>
-inline T lift(const Real& v) {
-  if constexpr (std::is_same_v<T, Real>)
-    return v;
-  else
-    return T(lift<decltype(T::v)>(v));
-}
 template <class T>
 inline Fabric<T> lift(const Fabric<Real>& f) {
-  return {lift<T>(f.thickness), lift<T>(f.young), lift<T>(f.poisson)};
+  return {lift<T>(f.thickness), lift<T>(f.young), lift<T>(f.poisson), f.weave};
 }
 template <class T>
 inline Invariants<T> lift(const Invariants<Real>& q) {
@@ -168,26 +169,90 @@ VOILE_INLINE Real stress(const QuadraticRest& r, const Real tau[3], const double
   return energy;
 }
 
+// The stretching (v = dl) or the bending energy (v = II - II_rest).
+template <bool bends>
+struct IsotropicForm {
+  const QuadraticRest& r;
+  Real tau[3];
+
+  VOILE_INLINE explicit IsotropicForm(const QuadraticRest& r) : r(r) {
+    const Real &a = r.inverse.a, &b = r.inverse.b, &c = r.inverse.c;
+    if constexpr (bends)
+      tau[0] = a + Real(2.0) * b + c, tau[1] = a, tau[2] = c;
+    else
+      tau[0] = -b, tau[1] = b + c, tau[2] = a + b;
+  }
+  VOILE_INLINE Real stiffness(int i, int j) const {
+    Real k = voile::VOILE_ISA::stiffness(r, tau, bends ? SECOND_DET : FIRST_DET, i, j);
+    return bends ? r.ratio * k : k;
+  }
+  VOILE_INLINE Real stress(const Real v[3], Real s[3]) const {
+    if constexpr (!bends) return voile::VOILE_ISA::stress(r, tau, FIRST_DET, v, s);
+    const Real scaled[3] = {r.ratio * v[0], r.ratio * v[1], r.ratio * v[2]};
+    return voile::VOILE_ISA::stress(r, tau, SECOND_DET, scaled, s) / r.ratio;
+  }
+};
+
+template <bool bends>
+struct WovenForm {
+  const Real* m;
+
+  VOILE_INLINE explicit WovenForm(const WovenRest& r) : m(bends ? r.bend : r.stretch) {}
+  VOILE_INLINE Real stiffness(int i, int j) const { return i > j ? stiffness(j, i) : m[i + j + (i > 0)]; }
+  VOILE_INLINE Real stress(const Real v[3], Real s[3]) const {
+    s[0] = m[0] * v[0] + m[1] * v[1] + m[2] * v[2];
+    s[1] = m[1] * v[0] + m[3] * v[1] + m[4] * v[2];
+    s[2] = m[2] * v[0] + m[4] * v[1] + m[5] * v[2];
+    return Real(0.5) * (s[0] * v[0] + s[1] * v[1] + s[2] * v[2]);
+  }
+};
+template <class Model, bool bends>
+using FormOf = std::conditional_t<Model::woven, WovenForm<bends>, IsotropicForm<bends>>;
+
 template <class Model>
-inline QuadraticRest quadratic_rest(const Rest& rest) {
-  QuadraticRest r;
-  const Fabric<Real>& f = rest.fabric;
+inline WovenRest woven_rest(const Rest& rest) {
+  using T = Dual<Dual<Real, 3>, 3>;
+  WovenRest r;
+  T v[3];
+  for (int i = 0; i < 3; ++i) v[i] = variable2<3, 3>(Real(0.0), i);
   Sym2<Real> form = first_form(rest.q.l), i = form.inverse();
-  Real twice_area = sqrt(form.det()), modulus = Real(0.125) * twice_area * f.thickness * f.young;
-  r.major = Real(0.5) * modulus / (Real(1.0) - f.poisson * f.poisson);
-  r.minor = modulus / ((Real(1.0) + f.poisson) * form.det());
-  r.ratio = f.thickness * f.thickness * Real(1.0 / 3.0);
-  r.inverse = i;
-  for (int k = 0; k < 3; ++k) r.height[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]);
+  Sym2<T> inverse{lift<T>(i.a), lift<T>(i.b), lift<T>(i.c)}, dl = first_form(v), ii = second_form(v);
+  Fabric<T> fabric = lift<T>(rest.fabric);
+  Real twice_area = sqrt(form.det()), area = Real(0.5) * twice_area;
+  T stretching = Orthotropic::stretching(inverse, dl, inverse, fabric);
+  T bending = Orthotropic::bending(inverse, dl, inverse, inverse, ii, fabric);
+  for (int k = 0, n = 0; k < 3; ++k) {
+    r.height[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]);
+    for (int j = k; j < 3; ++j, ++n)
+      r.stretch[n] = area * stretching.d[k].d[j], r.bend[n] = area * bending.d[k].d[j];
+  }
   return r;
 }
 
+template <class Model>
+inline RestOf<Model> quadratic_rest(const Rest& rest) {
+  if constexpr (Model::woven) {
+    return woven_rest<Model>(rest);
+  } else {
+    QuadraticRest r;
+    const Fabric<Real>& f = rest.fabric;
+    Sym2<Real> form = first_form(rest.q.l), i = form.inverse();
+    Real twice_area = sqrt(form.det()), modulus = Real(0.125) * twice_area * f.thickness * f.young;
+    r.major = Real(0.5) * modulus / (Real(1.0) - f.poisson * f.poisson);
+    r.minor = modulus / ((Real(1.0) + f.poisson) * form.det());
+    r.ratio = f.thickness * f.thickness * Real(1.0 / 3.0);
+    r.inverse = i;
+    for (int k = 0; k < 3; ++k) r.height[k] = Real(2.0) * twice_area / sqrt(rest.q.l[k]);
+    return r;
+  }
+}
+
 template <class Model, int order>
-VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Local& w, Jet& jet) {
+VOILE_INLINE void bend_quadratic(const RestOf<Model>& r, const Local& w, Jet& jet) {
   using F = Dual<Dual<Real, 1>, 1>;
   const Invariants<Real>& q = w.q;
   const Real *l = q.l, *dl = w.over.l;
-  const Real tau[3] = {r.inverse.a + Real(2.0) * r.inverse.b + r.inverse.c, r.inverse.a, r.inverse.c};
+  const FormOf<Model, true> form(r);
   Real ii[3], f1[3], f2[3], height[3], inverse_l[3], change[3], moment[3];
   const Real det_grown = det_increase(l, dl);
   for (int i = 0; i < 3; ++i) {
@@ -199,9 +264,9 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Local& w, Jet& je
     Real turned =
         Model::Fibre::increase({q.s[i], q.c[i], f.v.v, w.s_rest[i], w.c_rest[i], w.over.s[i], w.over.c[i]});
     Real grown = height_increase(height[i], r.height[i], inverse_l[i], dl[i], det_grown);
-    change[i] = r.ratio * (height[i] * turned + grown * (f.v.v - turned));
+    change[i] = height[i] * turned + grown * (f.v.v - turned);
   }
-  jet.energy.bending = stress(r, tau, SECOND_DET, change, moment) / r.ratio;
+  jet.energy.bending = form.stress(change, moment);
   if constexpr (order == 0) return;
   Real inverse = w.t.inverse * w.t.inverse, half = Real(0.5) * (l[0] + l[1] + l[2]);
   Real slope_det[3], rate[3][3], first[3][6];  // d ln det/dl_i; d ln height_i/dl_j; dII_i/dq
@@ -222,7 +287,7 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Local& w, Jet& je
     for (int p = 0; p < 6; ++p) {
       turned[i][p] = 0.0;
       for (int j = 0; j < 3; ++j)
-        if (p < 3 || p - 3 == j) turned[i][p] += r.ratio * stiffness(r, tau, SECOND_DET, i, j) * first[j][p];
+        if (p < 3 || p - 3 == j) turned[i][p] += form.stiffness(i, j) * first[j][p];
     }
   for (int p = 0; p < 6; ++p)
     for (int k = p; k < 6; ++k)
@@ -243,13 +308,13 @@ VOILE_INLINE void bend_quadratic(const QuadraticRest& r, const Local& w, Jet& je
 }
 
 template <class Model, int order>
-VOILE_INLINE void evaluate_quadratic(const QuadraticRest& r, const Local& w, Jet& jet) {
-  const Real tau[3] = {-r.inverse.b, r.inverse.b + r.inverse.c, r.inverse.a + r.inverse.b};
-  jet.energy = {stress(r, tau, FIRST_DET, w.over.l, jet.g), 0.0};
+VOILE_INLINE void evaluate_quadratic(const RestOf<Model>& r, const Local& w, Jet& jet) {
+  const FormOf<Model, false> form(r);
+  jet.energy = {form.stress(w.over.l, jet.g), 0.0};
   for (int i = 3; i < 6; ++i) jet.g[i] = 0.0;
   if constexpr (order == 2)
     for (int i = 0; i < 6; ++i)
-      for (int j = i; j < 6; ++j) jet.h[upper(i, j)] = j < 3 ? stiffness(r, tau, FIRST_DET, i, j) : Real(0.0);
+      for (int j = i; j < 6; ++j) jet.h[upper(i, j)] = j < 3 ? form.stiffness(i, j) : Real(0.0);
   if constexpr (Model::bends) bend_quadratic<Model, order>(r, w, jet);
 }
 

@@ -23,6 +23,15 @@ struct Dual {
   }
 };
 
+// A number as a constant of the type T.
+template <class T>
+inline T lift(const Real& v) {
+  if constexpr (std::is_same_v<T, Real>)
+    return v;
+  else
+    return T(lift<decltype(T::v)>(v));
+}
+
 // Chain rule for a function of one argument: value f, derivative f1.
 template <class T, int N>
 inline Dual<T, N> chain(const Dual<T, N>& x, const T& f, const T& f1) {

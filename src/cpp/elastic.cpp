@@ -6,6 +6,7 @@
 #include <string>
 
 #include "assembly.hpp"
+#include "sensitivities.hpp"
 
 namespace voile {
 inline namespace VOILE_ISA {
@@ -20,7 +21,8 @@ class ElasticModel final : public Elastic {
   std::vector<Real> weight;  // per block, 0 in lanes without a triangle
   std::vector<double> turn_weight;
   std::vector<Rest> rest;
-  std::vector<QuadraticRest> quadratic;
+  std::vector<RestOf<Model>> quadratic;
+  std::vector<Weave> weaves;  // per block; empty unless woven
   std::vector<Origin> origin;
   std::vector<Turn> turns;  // from the clamps that are at rest; empty without
   std::vector<Block> rest_blocks;
@@ -111,6 +113,8 @@ class ElasticModel final : public Elastic {
     rest.resize(blocks.size());
     origin.resize(blocks.size());
     quadratic.resize(by_hand ? blocks.size() : 0);
+    weaves.resize(Model::woven ? blocks.size() : 0);
+    set_weave(nullptr);
     set_weights(std::vector<double>(mesh.triangles, 1.0).data());
   }
 
@@ -152,8 +156,26 @@ class ElasticModel final : public Elastic {
         return gather(
             [&](int lane) { return values[blocks[b].first + std::min(lane, blocks[b].count - 1)]; });
       };
-      rest[b].fabric = {per_triangle(thickness), per_triangle(young), per_triangle(poisson)};
+      rest[b].fabric = {per_triangle(thickness), per_triangle(young), per_triangle(poisson),
+                        weaves.empty() ? nullptr : &weaves[b]};
       if constexpr (by_hand) quadratic[b] = quadratic_rest<Model>(rest[b]);
+    }
+  }
+
+  void set_weave(const double* weave) override {
+    static const double plain[Weave::LENGTH] = {1.0, 0.0, 1.0, 0.5};  // isotropic for poisson = 0
+    for (size_t b = 0; b < weaves.size(); ++b) {
+      auto number = [&](int k) {
+        return gather([&](int lane) {
+          const size_t t = (size_t)blocks[b].first + std::min(lane, blocks[b].count - 1);
+          return weave ? weave[Weave::LENGTH * t + k] : plain[k];
+        });
+      };
+      weaves[b] = {number(0), number(1), number(2), number(3), number(4),
+                   number(5), number(6), number(7), number(8)};
+      rest[b].fabric.weave = &weaves[b];
+      if constexpr (by_hand)
+        if (weave) quadratic[b] = quadratic_rest<Model>(rest[b]);
     }
   }
 
@@ -270,64 +292,22 @@ class ElasticModel final : public Elastic {
   }
 
   void mixed(State state, double* q_rest, double* q_fabric, double* fabric) override {
-    using D = Dual<Real, 9>;
-    using T = Dual<D, 6>;
     for (size_t b = 0; b < blocks.size(); ++b) {
-      const Block& block = blocks[b];
-      Local w = local(block, state);
-      const Rest& r = rest[b];
-      Invariants<T> q = lift<T>(w.q), qr;
-      for (int i = 0; i < 3; ++i) {
-        const Real on = turned(b, i), off = Real(1.0) - on;
-        const D s = wave<9>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<9>(w.q.c[i], on * w.q.s[i], 3 + i);
-        q.l[i].d[i] = D(1.0);
-        q.s[i] = T(s), q.s[i].d[3 + i] = c, q.c[i] = T(c), q.c[i].d[3 + i] = D(-1.0) * s;
-        qr.l[i] = T(variable<9>(r.q.l[i], i));
-        qr.s[i] = T(wave<9>(r.q.s[i], off * r.q.c[i], 3 + i));
-        qr.c[i] = T(wave<9>(r.q.c[i], -off * r.q.s[i], 3 + i));
-      }
-      Fabric<T> f{T(variable<9>(r.fabric.thickness, 6)), T(variable<9>(r.fabric.young, 7)),
-                  T(variable<9>(r.fabric.poisson, 8))};
-      auto e = model_energy<Model, T>(q, w.over, r, qr, f);
-      T sum = e.stretching + e.bending;
-      for (int lane = 0; lane < block.count; ++lane) {
-        size_t t = (size_t)block.first + lane;
-        for (int i = 0; i < 6; ++i) {
-          for (int j = 0; j < 6; ++j) q_rest[36 * t + 6 * i + j] = sum.d[i].d[j][lane];
-          for (int j = 0; j < 3; ++j) q_fabric[18 * t + 3 * i + j] = sum.d[i].d[6 + j][lane];
-        }
-        for (int j = 0; j < 3; ++j) fabric[3 * t + j] = sum.v.d[6 + j][lane];
-      }
+      const Real on[3] = {turned(b, 0), turned(b, 1), turned(b, 2)};
+      store_mixed<Model>(blocks[b], local(blocks[b], state), rest[b], on, q_rest, q_fabric, fabric);
     }
   }
 
   void mixed_along(State state, const double* rate, double* slope) override {
-    using D = Dual<Real, 6>;
-    using T = Dual<D, 1>;  // inner: by q_rest; outer: along the rate of q
     for (size_t b = 0; b < blocks.size(); ++b) {
-      const Block& block = blocks[b];
-      Local w = local(block, state);
-      const Rest& r = rest[b];
-      auto rate_of = [&](int k) {
-        return gather(
-            [&](int lane) { return rate[6 * (block.first + std::min(lane, block.count - 1)) + k]; });
-      };
-      Invariants<T> q = lift<T>(w.q), qr;
-      for (int i = 0; i < 3; ++i) {
-        const Real on = turned(b, i), off = Real(1.0) - on;
-        const D s = wave<6>(w.q.s[i], -on * w.q.c[i], 3 + i), c = wave<6>(w.q.c[i], on * w.q.s[i], 3 + i);
-        const D turn = D(rate_of(3 + i));
-        q.l[i].d[0] = D(rate_of(i));
-        q.s[i] = T(s), q.s[i].d[0] = turn * c, q.c[i] = T(c), q.c[i].d[0] = D(-1.0) * turn * s;
-        qr.l[i] = T(variable<6>(r.q.l[i], i));
-        qr.s[i] = T(wave<6>(r.q.s[i], off * r.q.c[i], 3 + i));
-        qr.c[i] = T(wave<6>(r.q.c[i], -off * r.q.s[i], 3 + i));
-      }
-      auto e = model_energy<Model, T>(q, w.over, r, qr, lift<T>(r.fabric));
-      T sum = e.stretching + e.bending;
-      for (int lane = 0; lane < block.count; ++lane)
-        for (int k = 0; k < 6; ++k) slope[6 * ((size_t)block.first + lane) + k] = sum.d[0].d[k][lane];
+      const Real on[3] = {turned(b, 0), turned(b, 1), turned(b, 2)};
+      store_mixed_along<Model>(blocks[b], local(blocks[b], state), rest[b], on, rate, slope);
     }
+  }
+
+  void stresses(State state, double* out) override {
+    for (size_t b = 0; b < blocks.size(); ++b)
+      store_stresses<Model>(blocks[b], local(blocks[b], state), rest[b], out);
   }
 
   void invariants_jacobian(State state, double* jacobian) override {
@@ -385,6 +365,7 @@ std::unique_ptr<Elastic> make_elastic(const std::string& name, Mesh mesh) {
   static const auto table = [] {
     std::map<std::string, Maker> t;
     add_material<StVK>(t, "stvk");
+    add_material<Orthotropic>(t, "orthotropic");
     add_material<NeoHookean>(t, "neo-hookean");
     add_material<TensionField>(t, "tension-field");
     t["discrete-shells//"] = make<DiscreteShells>;

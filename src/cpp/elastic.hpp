@@ -53,6 +53,8 @@ class Elastic {
   virtual void set_rest(const double* points, const int* corners, bool flat) = 0;
   // Per triangle: thickness (m), Young's modulus (Pa), Poisson's ratio.
   virtual void set_fabric(const double* thickness, const double* young, const double* poisson) = 0;
+  // Per triangle the LENGTH numbers of a Weave (models.hpp); woven materials only, others pass over it.
+  virtual void set_weave(const double* weave) = 0;
   // Only triangles with weight 1 count in the energy (each triangle counts on one rank).
   virtual void set_weights(const double* weight) = 0;
 
@@ -80,6 +82,10 @@ class Elastic {
   virtual void rest_jacobian(double* jacobian) = 0;
   // Per triangle: the six invariants l (m, 3), alpha (m, 3).
   virtual void invariants(State state, double* lengths, double* angles) = 0;
+
+  // Per triangle: energies (J) of stretching and bending, the first's derivatives with respect to the l, the
+  // second's with respect to the alpha: (m, 8).
+  virtual void stresses(State state, double* out) = 0;
 
   // Whether some hinge turns through 180 degrees on the way between two states. Those within 0.1 degrees of
   // it at the start do not count: it is not known on which side they are.

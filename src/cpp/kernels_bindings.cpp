@@ -92,6 +92,7 @@ static void bind_model(nb::module_& m) {
              s.elastic->set_fabric(sized(thickness, s.count(), "thickness"), sized(young, s.count(), "young"),
                                    sized(poisson, s.count(), "poisson"));
            })
+      .def("set_weave", [](Model& s, Doubles w) { s.elastic->set_weave(sized(w, 9 * s.count(), "weave")); })
       .def("set_weights", [](Model& s, Doubles w) { s.elastic->set_weights(sized(w, s.count(), "weights")); })
       .def("set_turn_weights",
            [](Model& s, Doubles w) { s.elastic->set_turn_weights(sized(w, 3 * s.count(), "turn weights")); })
@@ -154,6 +155,12 @@ static void bind_model(nb::module_& m) {
              std::vector<double> slope(6 * s.count());
              s.elastic->mixed_along(s.state(u, phi), sized(rate, slope.size(), "rate"), slope.data());
              return to_numpy(std::move(slope), {s.count(), 6});
+           })
+      .def("stresses",
+           [](Model& s, Doubles u, Doubles phi) {
+             std::vector<double> out(8 * s.count());
+             s.elastic->stresses(s.state(u, phi), out.data());
+             return to_numpy(std::move(out), {s.count(), 8});
            })
       .def("invariants_jacobian",
            [](Model& s, Doubles u, Doubles phi) {

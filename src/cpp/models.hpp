@@ -23,9 +23,19 @@ struct Increase {
   T l[3], s[3], c[3];
 };
 
+// A woven fabric beside its Young's modulus and Poisson's ratio along the warp: the warp's direction in the
+// basis of the rest edges from the first vertex (any length; it goes with the triangle where the rest shape
+// changes), weft and shear modulus over young, and where `own` is 1 bending stiffnesses over young (m^3),
+// else those of the thickness.
+struct Weave {
+  static constexpr int LENGTH = 9;
+  Real c1, c2, weft, shear, own, bend11, bend12, bend22, bend66;
+};
+
 template <class T>
 struct Fabric {
   T thickness, young, poisson;
+  const Weave* weave = nullptr;
 };
 
 template <class T>
@@ -147,6 +157,54 @@ struct StVK {
   }
 };
 
+// St. Venant-Kirchhoff, orthotropic about the weave's axes (Jones 1999, "Mechanics of Composite Materials",
+// plane stress): twice the energies are s11 e11^2 + 2 s12 e11 e22 + s22 e22^2 + 4 s66 e12^2 of the Green
+// strain, and the same with bending stiffnesses of the change of curvature.
+struct Orthotropic {
+  // Stiffnesses over Young's modulus and thickness.
+  template <class T>
+  struct Plane {
+    T s11, s12, s22, s66;
+    explicit Plane(const Fabric<T>& f) {
+      T weft = lift<T>(f.weave->weft);
+      s11 = T(1.0) / (T(1.0) - weft * f.poisson * f.poisson);
+      s22 = weft * s11;
+      s12 = f.poisson * s22;
+      s66 = lift<T>(f.weave->shear);
+    }
+    Plane(const T& b11, const T& b12, const T& b22, const T& b66) : s11(b11), s12(b12), s22(b22), s66(b66) {}
+
+    // Of a symmetric form v in the basis of the rest edges, whose first form has an inverse.
+    T twice_energy(const Sym2<T>& v, const Sym2<T>& inverse, const Weave& w) const {
+      Sym2<T> a = inverse.inverse();
+      T c1 = lift<T>(w.c1), c2 = lift<T>(w.c2);
+      T q1 = a.a * c1 + a.b * c2, q2 = a.b * c1 + a.c * c2, det = a.det();  // (-q2, q1) lies along the weft
+      T length = c1 * q1 + c2 * q2;
+      T e11 = (c1 * c1 * v.a + 2.0 * (c1 * c2 * v.b) + c2 * c2 * v.c) / length;
+      T e22 = (q2 * q2 * v.a - 2.0 * (q1 * q2 * v.b) + q1 * q1 * v.c) / (det * length);
+      T e12 = ((c1 * q1 - c2 * q2) * v.b + c2 * q1 * v.c - c1 * q2 * v.a) / (sqrt(det) * length);
+      return s11 * e11 * e11 + 2.0 * (s12 * e11 * e22) + s22 * e22 * e22 + 4.0 * (s66 * e12 * e12);
+    }
+  };
+
+  template <class T>
+  static T stretching(const Sym2<T>&, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
+    return 0.125 * (f.thickness * f.young * Plane<T>(f).twice_energy(da, inverse, *f.weave));
+  }
+  template <class T>
+  static T bending(const Sym2<T>&, const Sym2<T>&, const Sym2<T>& inverse, const Sym2<T>&, const Sym2<T>& db,
+                   const Fabric<T>& f) {
+    const Weave& w = *f.weave;
+    T cube = (1.0 / 12.0) * (f.thickness * f.thickness * f.thickness);
+    Plane<T> plane(f);
+    auto own = w.own.p > 0.5;
+    Plane<T> bend(
+        select(own, lift<T>(w.bend11), cube * plane.s11), select(own, lift<T>(w.bend12), cube * plane.s12),
+        select(own, lift<T>(w.bend22), cube * plane.s22), select(own, lift<T>(w.bend66), cube * plane.s66));
+    return 0.5 * (f.young * bend.twice_energy(db, inverse, w));
+  }
+};
+
 struct NeoHookean {
   template <class T>
   static T stretching(const Sym2<T>&, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
@@ -214,8 +272,8 @@ struct Energy {
 
 template <class Material>
 struct Membrane {
-  static constexpr bool bends = false, directors = false, quadratic = std::is_same_v<Material, StVK>,
-                        biot = false;
+  static constexpr bool bends = false, directors = false, woven = std::is_same_v<Material, Orthotropic>,
+                        quadratic = woven || std::is_same_v<Material, StVK>, biot = false;
   using Fibre = Average;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real[3], const Invariants<T>& r,
@@ -229,7 +287,8 @@ struct Membrane {
 template <class Bending, class Material>
 struct Koiter {
   static constexpr bool bends = true, directors = Bending::directors,
-                        quadratic = std::is_same_v<Material, StVK>, biot = false;
+                        woven = std::is_same_v<Material, Orthotropic>,
+                        quadratic = woven || std::is_same_v<Material, StVK>, biot = false;
   using Fibre = Bending;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
@@ -258,7 +317,7 @@ struct Koiter {
 // the isotropic plate on an equilateral mesh: bending D/6 per hinge side |e|^2/altitude weight, lengths 4/3
 // mu, area (lambda - mu)/2 (not negative: the hinge and spring terms alone have Poisson's ratio 1/3).
 struct DiscreteShells {
-  static constexpr bool bends = true, directors = false, quadratic = false, biot = false;
+  static constexpr bool bends = true, directors = false, woven = false, quadratic = false, biot = false;
   using Fibre = Theta;
   template <class T>
   static Energy<T> energy(const Invariants<T>& q, const T dl[3], const Real df[3], const Invariants<T>& r,
@@ -292,7 +351,7 @@ struct DiscreteShells {
 // compared with those at rest in the triangle's own frame. Where edges keep their lengths and the rest shape
 // is flat that is quadratic in the positions (isometric bending, Bergou et al. 2006).
 struct Projective {
-  static constexpr bool bends = true, directors = false, quadratic = false, biot = true;
+  static constexpr bool bends = true, directors = false, woven = false, quadratic = false, biot = true;
   using Fibre = Average;
 
   // tr(U) - 2 and det(U - I) of d = tr(C) - 2 and q = det(C - I), C = U^2, without cancellation.

@@ -40,10 +40,25 @@ def main(argv: list[str] | None = None) -> int:
         return 1
 
 
+class CommandParser(argparse.ArgumentParser):
+    """Takes options also between positional arguments, of which some may be left out."""
+
+    _splitting = False
+
+    def parse_known_args(self, args=None, namespace=None):
+        if self._splitting:
+            return super().parse_known_args(args, namespace)
+        self._splitting = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._splitting = False
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="voile", description=DESCRIPTION)
     parser.add_argument("--debug", action="store_true", help="show where an error came from")
-    names = parser.add_subparsers(required=True, metavar="COMMAND")
+    names = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
     for name, command in all_commands().items():
         sub = names.add_parser(name, help=command.TEXT, description=command.TEXT)
         sub.set_defaults(command=command.run)

@@ -4,6 +4,7 @@ import numpy as np
 
 from voile import blas
 from voile.elastic import MODELS, has_directors
+from voile.elastic.plate import plate_stiffness
 from voile.problem.follower import pressure_origin
 from voile.problem.shell import Shell
 from voile.scene import Scene
@@ -11,6 +12,9 @@ from voile.solver.nested import Options
 from voile.wiring import Model, weight
 
 REPEATED = 0.1  # shapes per triangle below which a mesh repeats its cells; irregular meshes have 0.5 to 1
+PLATE = 0.03  # share of the plate's stiffness by which a model may miss it unsaid
+PLANE = 1e-6  # of the size: a rest shape nearer to a plane has no curvature of its own
+PATCH = 8000  # triangles that are enough to tell
 STIFFNESS_RATIO = 1e-12  # (thickness/size)^2 under which bending stiffness is lost in double precision
 
 
@@ -74,6 +78,14 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
             "end moments",
             shell.moment is not None,
             "loads.moment" if shell.moment is not None else "no [[loads.moment]]",
+        ),
+        (
+            "springs",
+            shell.springs is not None or shell.bars is not None,
+            f"[[spring]] at {0 if shell.springs is None else int(shell.springs.any(axis=1).sum())} vertices, "
+            f"{0 if shell.bars is None else len(shell.bars)} bars of [[band]] and [[tie]]"
+            if shell.springs is not None or shell.bars is not None
+            else "no [[spring]], [[band]] or [[tie]]",
         ),
         (
             "moving supports",
@@ -148,7 +160,9 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         f"task = {scene.scene.task!r}": scene.scene.task not in ("statics", "modes"),
         "statics.nested is false": not statics.nested,
         "statics.load_steps is given": statics.load_steps is not None,
+        "statics.load_factors is given": bool(statics.load_factors),
         "supports or obstacles move": moves,
+        "there are springs, bands or ties": shell.springs is not None or shell.bars is not None,
         "layers are kept apart": scene.contact.self_contact,
         "loads have no potential": shell.moment is not None
         or (shell.pressure and pressure_origin(shell) is None),
@@ -217,6 +231,23 @@ def _refined(scene: Scene, model: Model) -> str:
     return f", {count}, refined {times} time{'s' * (times > 1)}" if times else ""
 
 
+def _plate_stiffness(shell: Shell) -> tuple[float, float] | None:
+    """See `plate_stiffness`: of the middle of a rest shape in one plane, None of others."""
+    x, t = shell.rest_points - shell.rest_points.mean(axis=0), shell.rest_triangles
+    _, _, axes = np.linalg.svd(x, full_matrices=False)
+    x = x @ axes.T
+    if np.abs(x[:, 2]).max() > PLANE * np.abs(x[:, 0]).max():
+        return None
+    middle = x[t].mean(axis=1)
+    near = np.argsort(np.linalg.norm(middle - middle.mean(axis=0), axis=1), kind="stable")[:PATCH]
+    used, triangles = np.unique(t[near], return_inverse=True)
+    model, bending, material = shell.model.split("/")
+    names = {"model": model, **({"bending": bending} if bending else {})}
+    names |= {"material": material} if material else {}
+    fabric = {name: getattr(shell, name)[near] for name in ("thickness", "young", "poisson")}
+    return plate_stiffness(x[used], triangles.reshape(-1, 3), model=names, **fabric)
+
+
 def explain(scene: Scene, model: Model) -> str:
     """The text of `voile explain`."""
     shell = model.shell
@@ -250,6 +281,13 @@ def explain(scene: Scene, model: Model) -> str:
             f"  note: bending = {scene.shell.bending!r} may settle some per cent off on this mesh of repeated cells; "
             "'tan' converges"
         )
+    if "bending" in kept and not has_directors(shell.model):
+        low, high = _plate_stiffness(shell) or (1.0, 1.0)
+        if low < 1.0 - PLATE or high > 1.0 + PLATE:
+            lines.append(
+                f"  note: {scene.shell.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly, by direction, "
+                "as the plate of its E, nu and h; model = 'koiter' with bending = 'tan' converges to that"
+            )
     if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
         lines.append(
             "  note: bending stiffness is at round-off against stretching; consider model = 'membrane'"

@@ -1,16 +1,19 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. For commands only."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from voile.contact.motion import Motion, Spell, Track
+from voile.contact.motion import Motion
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
+from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
 from voile.mesh import (
+    Attached,
     RawMesh,
     Rest,
     Surface,
@@ -19,20 +22,25 @@ from voile.mesh import (
     read_rest,
     refine,
     select,
+    shrunk,
     surface_loops,
 )
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
+from voile.problem.support_forces import Held
 from voile.problem.supports import check_supports, free_motions
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
-from voile.scene.moves import Move, read_path
+from voile.scene.motion import motion_of
+from voile.scene.schema import Fabric
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
 SUNK = 0.01  # the same of a target of inverse design, or this many contact tolerances
 SUNK_TOLERANCES = 5.0
+FABRIC = ("thickness", "young", "poisson", "density")
+WOVEN = ("young_weft", "shear", "bending_warp", "bending_weft", "bending_twist")
 CLOSED, GAPING = 1e-6, 0.01  # of the size: seams of a target that are closed, and those that do not close
 
 
@@ -47,6 +55,7 @@ class Model:
     obstacles: list[Obstacle]
     offset: float  # m, from the mid-surface to the surface that touches
     cuts: np.ndarray  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
+    holds: list[Held]  # what each [[fix]] holds
 
 
 def build_model(scene: Scene) -> Model:
@@ -57,9 +66,14 @@ def build_model(scene: Scene) -> Model:
     rest = read_rest(spec.rest, surface, Path(scene.path).parent, spec.scale)
     topology = build_topology(surface.triangles)
     loops = surface_loops(surface, topology)
-    fixed, motion, clamped = _supports(scene, surface, topology, loops)
+    fixed, motion, clamped, holds = _supports(scene, surface, topology, loops)
     moves = _moves_in_time(scene, surface, loops)
-    thickness, young, poisson, density = _fabric(scene, surface)
+    on = Attached(surface, topology, loops, str(scene.path))
+    thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
+    shrink = _fabric(scene, surface, "shrink")
+    weave = _weave(scene, surface, rest, thickness, young, poisson)
+    if shrink.any():
+        rest, density = shrunk(rest, 1.0 - shrink, f"{scene.path}: shrink"), density / (1.0 - shrink) ** 2
     shell = Shell(
         points=surface.points,
         triangles=surface.triangles,
@@ -77,11 +91,15 @@ def build_model(scene: Scene) -> Model:
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
         pressure=float(scene.loads.pressure),
-        force=_forces(scene, surface, loops),
+        force=on.total("loads.force", [(force, np.array(force.value)) for force in scene.loads.force]),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
         seam_bending=spec.seam_bending,
         load_laws=_load_laws(scene),
+        springs=on.springs(scene.spring),
+        bars=on.bars(scene.band, scene.tie),
+        extra_mass=on.total("mass", [(mass, mass.value) for mass in scene.mass]),
+        weave=weave,
         **_seams(surface),
     )
     bodies = build_obstacles(scene)
@@ -114,7 +132,7 @@ def build_model(scene: Scene) -> Model:
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
-    return Model(shell, surface, rest, notes, bodies, offset, cuts)
+    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds)
 
 
 def _load_laws(scene: Scene) -> dict[str, Load]:
@@ -200,32 +218,51 @@ def _seams(surface: Surface) -> dict[str, Any]:
     return {} if s is None else {"slave": s.slave, "first": s.first, "second": s.second, "weight": s.weight}
 
 
-def _fabric(scene: Scene, surface: Surface) -> tuple[np.ndarray, ...]:
-    """Per triangle thickness, young, poisson, density: [shell]'s, overridden by [[fabric]] per group."""
-    names = ("thickness", "young", "poisson", "density")
-    values = [np.full(len(surface.triangles), float(getattr(scene.shell, name))) for name in names]
+def _fabric(scene: Scene, surface: Surface, name: str) -> np.ndarray:
+    """(m,) a value per triangle: [shell]'s, NaN where it gives none, overridden by [[fabric]] per group."""
+    value = getattr(scene.shell, name)
+    values = np.full(len(surface.triangles), np.nan if value is None else float(value))
+    for chosen, fabric in _groups(scene, surface):
+        if getattr(fabric, name) is not None:
+            values[chosen] = getattr(fabric, name)
+    return values
+
+
+def _groups(scene: Scene, surface: Surface) -> Iterator[tuple[np.ndarray, Fabric]]:
+    """(m,) the triangles of each [[fabric]], and the fabric."""
     for k, fabric in enumerate(scene.fabric):
         if fabric.group not in surface.group_names:
             raise InputError(
                 f"{scene.path}: fabric.{k}.group = {fabric.group!r} is not a group of {surface.source}; "
                 f"there are: {', '.join(surface.group_names) or 'none'}"
             )
-        chosen = surface.group == surface.group_names.index(fabric.group)
-        for value, name in zip(values, names, strict=True):
-            if getattr(fabric, name) is not None:
-                value[chosen] = getattr(fabric, name)
-    return tuple(values)
+        yield surface.group == surface.group_names.index(fabric.group), fabric
+
+
+def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: np.ndarray) -> np.ndarray | None:
+    """(m, 9) of an orthotropic shell (elastic/weave.py) with thickness, young and poisson."""
+    if scene.shell.material != "orthotropic":
+        return None
+    woven = Woven(*(_fabric(scene, surface, name) for name in WOVEN))
+    warps = [(np.ones(len(surface.triangles), dtype=bool), scene.shell.warp or "v", "shell.warp")]
+    groups = enumerate(_groups(scene, surface))
+    warps += [(chosen, each.warp, f"fabric.{k}.warp") for k, (chosen, each) in groups if each.warp]
+    try:
+        return weave_rows(rest.points, rest.triangles, warp_of(rest, surface, warps), *fabric, woven=woven)
+    except InputError as error:
+        raise InputError(f"{scene.path}: {error}") from None
 
 
 def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]):
-    """Fixed axes (n, 3), motion (n, 3), clamped edges."""
-    n = len(surface.points)
+    """Fixed axes (n, 3), motion (n, 3), clamped edges, what each table holds."""
+    n, holds = len(surface.points), []
     fixed, motion = np.zeros((n, 3), dtype=bool), np.zeros((n, 3))
     clamped = np.zeros(len(topology.edges), dtype=bool)
     for k, fix in enumerate(scene.fix):
         where = f"{scene.path}: fix.{k}.select"
         vertices = select(surface, loops, fix.select, where)
         axes = ["xyz".index(a) for a in fix.axes]
+        holds.append(Held(fix.name or f"fix {k}", vertices, tuple(axes), fix.clamp))
         move = np.zeros(3) if fix.move is None else np.array(fix.move.displacement, dtype=float)
         for axis in axes:
             again = vertices[fixed[vertices, axis] & (motion[vertices, axis] != move[axis])]
@@ -242,7 +279,7 @@ def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np
             if not edges.any():
                 raise InputError(f"{where}: clamp = true needs at least one edge with both ends selected")
             clamped |= edges
-    return fixed, motion, np.flatnonzero(clamped).astype(np.int32)
+    return fixed, motion, np.flatnonzero(clamped).astype(np.int32), holds
 
 
 def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
@@ -250,47 +287,10 @@ def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
     if scene.scene.task != "dynamics":
         return ()
     return tuple(
-        (select(surface, loops, fix.select, f"{scene.path}: fix.{k}.select"), _motion(scene, fix.move))
+        (select(surface, loops, fix.select, f"{scene.path}: fix.{k}.select"), motion_of(scene, fix.move))
         for k, fix in enumerate(scene.fix)
         if fix.move
     )
-
-
-def _motion(scene: Scene, move: Move) -> Motion:
-    """That of a scene's `move` table."""
-    center, duration = np.array(move.center), scene.dynamics.duration
-    if move.path:
-        times, rows = read_path(move.path, duration)
-        return Track(times=times, rows=rows, center=center)
-    parts: dict[str, Any] = {
-        "displacement": np.array(move.displacement),
-        "rotation": np.array(move.rotation),
-        "center": center,
-    }
-    if not move.in_time:
-        return Spell(**parts, end=duration) if scene.scene.task == "dynamics" else Motion(**parts)
-    until = duration if move.until is None else move.until
-    if until <= move.begin:
-        raise InputError(
-            f"{scene.path}: move.from = {move.begin:g} s; allowed: before the end of the duration"
-        )
-    lasts = until - move.begin
-    parts |= {
-        "displacement": lasts * np.array(move.velocity),
-        "rotation": lasts * np.array(move.angular_velocity),
-    }
-    return Spell(**parts, begin=move.begin, end=until)
-
-
-def _forces(scene: Scene, surface: Surface, loops: list[np.ndarray]) -> np.ndarray | None:
-    """(n, 3) dead forces; a total is shared evenly over its selection."""
-    if not scene.loads.force:
-        return None
-    total = np.zeros((len(surface.points), 3))
-    for k, force in enumerate(scene.loads.force):
-        vertices = select(surface, loops, force.select, f"{scene.path}: loads.force.{k}.select")
-        total[vertices] += np.array(force.value, dtype=float) / len(vertices)
-    return total
 
 
 def _moments(
@@ -318,7 +318,7 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
     """The scene's obstacles in the order of the file."""
     found: list[Obstacle] = []
     for k, spec in enumerate(scene.obstacle):
-        motion = Motion() if spec.move is None else _motion(scene, spec.move)
+        motion = Motion() if spec.move is None else motion_of(scene, spec.move)
         body = SHAPES[spec.shape]
         laws = {"friction": spec.friction, "restitution": spec.restitution}
         found.append(body.build(spec.geometry(), name=f"{spec.shape} {k}", motion=motion, **laws))

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from voile.commands._result import folder
+from voile.errors import InputError
 
 TEXT = "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png"
 
@@ -11,9 +12,8 @@ TEXT = "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("file", type=Path)
-    where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("output", type=Path, nargs="?")
-    where.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
+    parser.add_argument("output", type=Path, nargs="?", help="its ending says the format")
+    parser.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
     parser.add_argument("--step", type=int, default=-1)
 
 
@@ -21,5 +21,8 @@ def run(args: argparse.Namespace) -> None:
     """Writes the file, and prints its name."""
     from voile.post.export import PATTERNS, export
 
+    if (args.output is None) == (args.to is None):
+        both = f"output {args.output} and --to {args.to}" if args.to else "no output"
+        raise InputError(f"{both}; allowed: an output file, or --to with a format")
     name = "pattern" if f".{args.to}" in PATTERNS else "shape"
     print(export(args.file, args.output or folder(args.file) / f"{name}.{args.to}", args.step))

@@ -1,7 +1,7 @@
 """Elastic models over the C++ kernels: energies of triangles as functions of six invariants each."""
 
 from voile.elastic.evaluate import Evaluation, evaluate
-from voile.elastic.models import BENDING, MATERIALS, MODELS, has_directors, model_name, model_of
+from voile.elastic.models import BENDING, MATERIALS, MODELS, has_directors, is_woven, model_name, model_of
 
 __all__ = [
     "BENDING",
@@ -10,6 +10,7 @@ __all__ = [
     "Evaluation",
     "evaluate",
     "has_directors",
+    "is_woven",
     "model_name",
     "model_of",
 ]

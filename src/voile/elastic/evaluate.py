@@ -42,6 +42,7 @@ def evaluate(
     model: str = "koiter",
     bending: str = "tan",
     material: str = "stvk",
+    weave: np.ndarray | None = None,
     edge_angles: np.ndarray | None = None,
     hessian: bool | str = False,
     mixed: bool = False,
@@ -50,6 +51,7 @@ def evaluate(
 
     thickness (m), young (Pa) and poisson are numbers or one value per triangle; edge_angles (edges,) are the
     director angles phi in radians, None means zero; edges are sorted by their smaller, then their larger vertex.
+    weave (m, 9): for material = "orthotropic", as `weave_rows` gives it; None: isotropic for poisson = 0.
     hessian: True for the exact one, "safe" for the positive semidefinite one. mixed adds the derivatives with
     respect to the rest coordinates and the material parameters.
 
@@ -77,6 +79,8 @@ def evaluate(
     )
     kernel.set_rest(rest, triangles, False)
     kernel.set_fabric(*_fabric(len(triangles), thickness, young, poisson))
+    if weave is not None:
+        kernel.set_weave(np.ascontiguousarray(weave, dtype=float))
     u = current - rest
     phi = np.zeros(len(topology.edges)) if edge_angles is None else np.array(edge_angles, dtype=float)
     if phi.shape != (len(topology.edges),):

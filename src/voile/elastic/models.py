@@ -21,7 +21,7 @@ MODELS = {
     "projective": Model(bends=True, normals=False, material=False),
 }
 BENDING = {"average": False, "sin": True, "tan": True, "theta": True}  # whether edges have director angles
-MATERIALS = ("stvk", "neo-hookean", "tension-field")
+MATERIALS = ("stvk", "neo-hookean", "tension-field", "orthotropic")
 
 
 def model_name(model: str, bending: str, material: str) -> str:
@@ -43,6 +43,11 @@ def model_name(model: str, bending: str, material: str) -> str:
 def model_of(name: str) -> Model:
     """The row of a model by its kernels' name."""
     return MODELS[name.partition("/")[0]]
+
+
+def is_woven(name: str) -> bool:
+    """Whether the model of a kernels' name takes a weave (see weave.py)."""
+    return name.endswith("/orthotropic")
 
 
 def has_directors(name: str) -> bool:

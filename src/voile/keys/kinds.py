@@ -220,6 +220,26 @@ class Choice:
         return {"enum": list(self.values)}
 
 
+class Grain:
+    """A direction of any length, or the name of a texture coordinate."""
+
+    def __init__(self) -> None:
+        self.direction = vector(nonzero=True)
+
+    def read(self, value: Any) -> tuple[float, ...] | str:
+        if isinstance(value, str):
+            if value not in ("u", "v"):
+                raise Rejected(f"{show(value)} is not allowed; allowed: {self.allowed()}")
+            return value
+        return self.direction.read(value)
+
+    def allowed(self) -> str:
+        return f'"u", "v", {self.direction.allowed()}'
+
+    def schema(self) -> dict[str, Any]:
+        return {"anyOf": [{"enum": ["u", "v"]}, self.direction.schema()]}
+
+
 class Axes:
     """Some of the axes x, y, z, each once, at least one."""
 

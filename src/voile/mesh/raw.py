@@ -1,6 +1,6 @@
 """A mesh as its file says it, before any check or repair."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ class RawMesh:
     points (n, 3) float64; triangles (m, 3) int64; group (m,) int32 index into group_names;
     texture (nt, 2) with texture_triangles (m, 3), both None where the file has none;
     stitch_vertices (s, 3) int64 (slave, first, second) and stitch_weight (s,);
+    vertex_groups: vertices (k,) of named points and lines;
     point_lines (n,), triangle_lines (m,), stitch_lines (s,): line numbers from 1 in a text file, else None.
     """
 
@@ -27,6 +28,7 @@ class RawMesh:
     point_lines: np.ndarray | None = None
     triangle_lines: np.ndarray | None = None
     stitch_lines: np.ndarray | None = None
+    vertex_groups: dict[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     in_metres: bool = False  # the file says so: no scale applies
 

@@ -45,6 +45,7 @@ def _refined(coarse: Surface) -> Surface:
         points=fine.carry(coarse.points, levels=1),
         triangles=_quarters(coarse.triangles, len(coarse.points) + topology.triangle_edges),
         group=np.repeat(coarse.group, 4),
+        vertex_groups={name: _carried(fine, vertices) for name, vertices in coarse.vertex_groups.items()},
         texture=texture,
         texture_triangles=texture_triangles,
         stitches=coarse.stitches and refine_stitches(coarse.stitches, coarse.points, topology),
@@ -53,6 +54,14 @@ def _refined(coarse: Surface) -> Surface:
         input_triangle=(4 * coarse.input_triangle[:, None] + np.arange(4)).ravel(),
         input_triangles=4 * coarse.input_triangles,
     )
+
+
+def _carried(fine: Surface, vertices: np.ndarray) -> np.ndarray:
+    """Vertices of a refined surface from those of the coarser one, see carry_nodes."""
+    assert fine.coarser is not None
+    chosen = np.zeros(len(fine.coarser.points), dtype=bool)
+    chosen[vertices] = True
+    return np.flatnonzero(carry_nodes(fine, chosen))
 
 
 def _quarters(triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ def select(
     """Vertices that satisfy every key of `selection`: (k,) int32, increasing, indices into surface.points.
 
     nodes: indices in the input file, from 0 (of a refined surface also what lies between, see carry_nodes);
-    group: name or list of names, the vertices of those triangles;
+    group: name or list of names, the vertices of those triangles, or of those points and lines of a Gmsh file;
     box: [[min], [max]] in metres on the start shape, faces included; boundary: index of a loop or list of
     them, in boundary_loops (vertex index arrays, longest first); all: true.
     Raises InputError that names `where` (the key in the scene) and what there is to select.
@@ -109,13 +109,16 @@ def _places(surface: Surface, nodes: np.ndarray, where: str) -> np.ndarray:
 
 def _group(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
     names = value if isinstance(value, list | tuple) else [value]
+    lines = surface.vertex_groups
     for name in names:
-        if name not in surface.group_names:
-            raise InputError(
-                f"{where}: no group {name!r} in {surface.source}, allowed: {', '.join(surface.group_names)}"
-            )
-    wanted = [surface.group_names.index(name) for name in names]
-    return _mask(surface, surface.triangles[np.isin(surface.group, wanted)])
+        if name not in (*surface.group_names, *lines):
+            there = ", ".join(dict.fromkeys((*surface.group_names, *lines)))
+            raise InputError(f"{where}: no group {name!r} in {surface.source}, allowed: {there}")
+    wanted = [surface.group_names.index(name) for name in names if name in surface.group_names]
+    inside = _mask(surface, surface.triangles[np.isin(surface.group, wanted)])
+    for name in names:
+        inside[lines.get(name, [])] = True
+    return inside
 
 
 def _box(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,8 @@ class Surface:
     """An edge-manifold, consistently oriented triangle mesh; several components, pinch vertices are allowed.
 
     points (n, 3) float64 in metres; triangles (m, 3) int32; group (m,) int32 index into group_names;
-    texture (nt, 2) float64 in metres and texture_triangles (m, 3) int32, None without texture coordinates;
+    vertex_groups: vertices (k,) of the file's named points and lines; texture (nt, 2) float64 in metres and
+    texture_triangles (m, 3) int32, None without texture coordinates;
     stitches in the numbering of points, None without; input_vertex (n,) int64, increasing, the index of each
     vertex in the file, which has input_vertices of them; input_triangle (m,) int64, increasing, and
     input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source: the file.
@@ -62,6 +63,8 @@ class Surface:
             return points
         points = self.coarser.carry(points, None if levels is None else levels - 1)
         return np.concatenate([points, points[self.ends].mean(axis=1)])
+
+    vertex_groups: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True
         input_triangles=len(keep),
         notes=(*raw.notes, *_repairs(flip, keep, used)),
         source=raw.source,
+        vertex_groups={name: new[v[used[v]]] for name, v in raw.vertex_groups.items() if used[v].any()},
     )
 
 
@@ -266,7 +270,20 @@ def _read_meshio(path: Path) -> RawMesh:
         triangles=np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64),
         group=group,
         group_names=tuple(names.get(int(i), str(i)) for i in used),
+        vertex_groups=_vertex_groups(mesh),
     )
+
+
+def _vertex_groups(mesh: meshio.Mesh) -> dict[str, np.ndarray]:
+    """Vertices of the physical points and lines that a Gmsh file names, and of the point sets of other formats."""
+    found = {name: [np.asarray(members, dtype=np.int64).ravel()] for name, members in mesh.point_sets.items()}
+    names = {tuple(int(i) for i in key): name for name, key in mesh.field_data.items() if np.size(key) == 2}
+    for block, tags in zip(mesh.cells, mesh.cell_data.get("gmsh:physical", ()), strict=False):
+        for tag in np.unique(tags) if block.dim < 2 else ():
+            name = names.get((int(tag), block.dim))
+            if name:
+                found.setdefault(name, []).append(np.asarray(block.data)[np.asarray(tags) == tag].ravel())
+    return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items()}
 
 
 def _group_tags(mesh: meshio.Mesh) -> list[np.ndarray]:

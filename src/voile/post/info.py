@@ -62,6 +62,9 @@ def rows(summary: dict[str, Any], depth: int = 0) -> Iterator[tuple[int, str, st
         elif key == "obstacles":
             for obstacle in value:
                 yield depth, obstacle["name"], _totals(obstacle)
+        elif key == "supports":
+            for support in value:
+                yield depth, support["name"], _support(support)
         else:
             if key in ("method", "ways"):  # "ways" before version 0.2
                 value = [f"{way} {count}" for way, count in Counter(value).items()]
@@ -73,6 +76,14 @@ def _totals(obstacle: dict[str, Any]) -> str:
     return (
         f"{obstacle['vertices']} vertices, {obstacle['area']:.4g} m^2, force {_vector(obstacle['force'])} N, "
         f"moment {_vector(obstacle['moment'])} N m"
+    )
+
+
+def _support(support: dict[str, Any]) -> str:
+    """What the shell gets from a [[fix]]."""
+    return (
+        f"force {_vector(support['force'])} N, moment {_vector(support['moment'])} N m about "
+        f"{_vector(support['about'])} m"
     )
 
 

@@ -25,7 +25,17 @@ UNITS = {
     "max_displacement": "m",
     "contact_force": "N",
 }
-POTENTIALS = ("kinetic", "stretching", "bending", "gravity", "pressure", "force", "contact", "balance_error")
+POTENTIALS = (
+    "kinetic",
+    "stretching",
+    "bending",
+    "gravity",
+    "pressure",
+    "force",
+    "springs",
+    "contact",
+    "balance_error",
+)
 SINCE_THE_START = ("_dissipated", "_work")  # what the names of energies spent or given end with
 ENERGIES = "energies"  # all of them but for those that no one would tell from 0 beside the largest:
 SEEN = 1e-3

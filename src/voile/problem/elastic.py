@@ -121,5 +121,7 @@ def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kerne
         kernel.set_clamps(half_edge, conormal, at_rest, np.ascontiguousarray(clamp[:, 3:]))
     kernel.set_rest(part.rest_points, part.rest_corners, flat)
     kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
+    if part.weave.size:
+        kernel.set_weave(np.ascontiguousarray(part.weave))
     kernel.set_weights(part.weight)
     return kernel

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile import _kernels
+from voile.elastic.weave import warp_components, warp_directions
 from voile.errors import InputError
 from voile.mesh.stitches import Stitches, join, sewing_matrix
 from voile.mesh.topology import Topology, build_topology
@@ -77,6 +78,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         young=shell.young[triangle],
         poisson=shell.poisson[triangle],
         density=shell.density[triangle],
+        weave=None if shell.weave is None else _woven_on(shell, triangle, rest_kept, rest_triangles),
         fixed=shell.fixed[kept],
         motion=shell.motion[kept],
         clamped_edges=_edges(topology, clamps, solid[triangle]),
@@ -84,6 +86,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         pressure=shell.pressure,
         force=None if shell.force is None else prolongation.gather(shell.force),
         load_laws=shell.load_laws,
+        extra_mass=None if shell.extra_mass is None else prolongation.gather(shell.extra_mass),
         topology=topology,
         seam_bending=shell.seam_bending,
         **seams.records(number, hang, hang_weight),
@@ -92,6 +95,16 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     if shell.closing is not None:
         coarse.closing = _closing(coarse, start[kept])
     return (coarse, prolongation) if _holds(coarse) else None
+
+
+def _woven_on(shell: Shell, triangle: np.ndarray, kept: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(c, 9) the weave of coarse rest triangles (c, 3) of the rest vertices `kept`: that of a fine triangle (c,) each,
+    with its warp."""
+    assert shell.weave is not None
+    warp = warp_directions(shell.rest_points, shell.rest_triangles[triangle], shell.weave[triangle])
+    rows = shell.weave[triangle].copy()
+    rows[:, :2] = warp_components(shell.rest_points[kept], triangles, warp)
+    return rows
 
 
 def _holds(shell: Shell) -> bool:
@@ -171,6 +184,8 @@ def _features(shell: Shell, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rest = shell.rest_triangles.ravel()
     cut = ~border & ((rest[start] != rest[end[other]]) | (rest[end] != rest[start[other]]))
     fabric = np.column_stack([shell.thickness, shell.young, shell.poisson, shell.density])
+    if shell.weave is not None:
+        fabric = np.column_stack([fabric, shell.weave[:, 2:]])
     seam = (fabric[half // 3] != fabric[other // 3]).any(axis=1)
     clamp = _clamped(shell).ravel() & (border | ~(solid[half // 3] & solid[other // 3]))
     key, corner = _supports(shell), shell.triangles.ravel()

@@ -37,6 +37,7 @@ class Part:
     rest_vertex: np.ndarray
     rest_corners: np.ndarray
     fabric: np.ndarray  # (4, m) thickness, young, poisson, density
+    weave: np.ndarray  # (m, 9), or (m, 0) of fabrics that are not woven
     weight: np.ndarray
     matrix: sp.csr_matrix
     closure: np.ndarray  # (dofs,) closes the seams of the start shape
@@ -45,6 +46,11 @@ class Part:
     force: np.ndarray
     mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
     moment: np.ndarray
+    springs: np.ndarray  # (vertices, 3) N/m, empty without
+    bars: (
+        np.ndarray
+    )  # (b, 7) all: input vertices, N/m, m, local vertices or -1 where not here, whether it counts here
+    extra_mass: np.ndarray  # (vertices,) kg
     half_edge_clamp: np.ndarray  # (k, 6): local half edge, flags conormal and at rest, vector
     owned: int
     first_global: int
@@ -59,6 +65,7 @@ class Part:
         areas = triangle_areas(self.rest_points, self.rest_corners)
         counts = len(self.vertex), len(self.edge)
         self.mass = lumped_mass(density * areas, thickness, self.corners, self.triangle_edges, counts)
+        self.mass[: 3 * counts[0]] += np.repeat(self.extra_mass, 3)
 
 
 def lumped_mass(
@@ -83,7 +90,10 @@ def _mass(shell: Shell) -> np.ndarray:
     area = triangle_areas(shell.rest_points, shell.rest_triangles)
     edges = shell.topology.triangle_edges
     counts = len(shell.points), len(shell.topology.edges)
-    return lumped_mass(shell.density * area, shell.thickness, shell.triangles, edges, counts)
+    mass = lumped_mass(shell.density * area, shell.thickness, shell.triangles, edges, counts)
+    if shell.extra_mass is not None:
+        mass[: 3 * counts[0]] += np.repeat(shell.extra_mass, 3)
+    return mass
 
 
 @dataclass
@@ -204,6 +214,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         rest_vertex=rest_vertex,
         rest_corners=rest_corners.reshape(-1, 3).astype(np.int32),
         fabric=fabric,
+        weave=np.zeros((len(triangles), 0)) if shell.weave is None else shell.weave[triangles],
         weight=counted.astype(float),
         matrix=matrix,
         closure=constraints.closure[dofs],
@@ -212,6 +223,9 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=_mass(shell)[dofs],
         moment=moment[triangles].ravel(),
+        springs=np.zeros((0, 3)) if shell.springs is None else shell.springs[vertex],
+        bars=_bars(shell, vertex_local, numbering.node_owner, rank),
+        extra_mass=np.zeros(len(vertex)) if shell.extra_mass is None else shell.extra_mass[vertex],
         half_edge_clamp=mine,
         owned=int(end - begin),
         first_global=int(begin),
@@ -219,6 +233,15 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         owned_vertices=np.flatnonzero(numbering.node_owner[vertex] == rank),
         owned_edges=np.flatnonzero(numbering.node_owner[n + edge] == rank),
     )
+
+
+def _bars(shell: Shell, local: np.ndarray, owner: np.ndarray, rank: int) -> np.ndarray:
+    """Part.bars."""
+    if shell.bars is None:
+        return np.zeros((0, 7))
+    ends = shell.bars[:, :2].astype(np.int64)
+    here = np.where((local[ends] >= 0).all(axis=1)[:, None], local[ends], -1)
+    return np.column_stack([shell.bars, here, owner[ends[:, 0]] == rank])
 
 
 def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int) -> np.ndarray:
@@ -232,6 +255,10 @@ def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numberi
     touched = row[mine]
     node[np.where(touched < 3 * n, touched // 3, touched - 2 * n)] = True
     node |= numbering.node_owner == rank  # also what has no unknown is written by somebody
+    if shell.bars is not None:  # what a bar joins to a vertex comes with it
+        ends = shell.bars[:, :2].astype(np.int64)
+        near = node[ends].any(axis=1)
+        node[ends[near]] = True
     direct = node[shell.triangles].any(axis=1) | node[n + topology.triangle_edges].any(axis=1)
     ring = direct
     for _ in range(2):  # across a hinge: the vertex opposite; then the ring that those hinges need

@@ -17,6 +17,7 @@ from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute
 from voile.problem.shell import Shell
+from voile.problem.springs import springs_of
 from voile.problem.state import State
 from voile.problem.terms import Point, Term
 from voile.problem.unknowns import Unknowns
@@ -51,7 +52,8 @@ class Problem:
         self.layout = Unknowns(part, comm)
         self.elastic = Elastic(part, self.model, flat)
         self.loads = Loads(part, self.elastic, *loads)
-        self.terms: tuple[Term, ...] = (self.elastic, self.loads)
+        self.springs = springs_of(part, self.loads.own, comm)
+        self.terms: tuple[Term, ...] = (self.elastic, self.loads, *self.springs)
         self.time = 1.0
         self.contact: Contact | None = None
         self.monitor: Monitor | None = None
@@ -85,7 +87,7 @@ class Problem:
     def with_contact(self, contact: Contact | None, *terms: Term) -> "Problem":
         """The same problem with a contact and the terms that it always needs, in place of its own."""
         other = copy.copy(self)
-        other.contact, other.terms = contact, (self.elastic, self.loads, *terms)
+        other.contact, other.terms = contact, (self.elastic, self.loads, *self.springs, *terms)
         return other
 
     def set_rest(self, points: np.ndarray, flat: bool = False) -> None:
@@ -199,8 +201,14 @@ class Problem:
     def reactions(self, y: PETSc.Vec) -> np.ndarray:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
         at, count = self.point(y), self.layout.vertices
-        forces = self.elastic.forces(at) + self.loads.forces(at)
+        forces = self.inner_forces(at)
         return (-forces[:count] * self.part.fixed[:count]).reshape(-1, 3)
+
+    def inner_forces(self, at: Point) -> np.ndarray:
+        """(local dofs,) forces of the shell itself, its springs and its loads (N; N m on directors)."""
+        return sum(
+            (term.forces(at) for term in self.springs), self.elastic.forces(at) + self.loads.forces(at)
+        )
 
     def reaction_norm(self, y: PETSc.Vec) -> float:
         """Norm of the supports' reactions (N)."""

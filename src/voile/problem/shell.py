@@ -26,9 +26,12 @@ class Shell:
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
     weight x_second. Loads at time 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    springs (n, 3): stiffness (N/m) of elastic supports along each axis, to where the vertices start. bars (b, 4): two
+    vertices, stiffness (N/m) and length (m) of each. extra_mass (n,) kg beside the fabric's.
     moves: further motions of supports, of which vertices, along their Dirichlet axes.
     load_laws in time, by problem.loads.LOADS: in proportion to it where there is none.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
+    weave (m, 9): of woven fabrics (elastic/weave.py), None without.
     seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
     """
 
@@ -57,6 +60,10 @@ class Shell:
     load_laws: dict[str, Load] = field(default_factory=dict)
     closing: np.ndarray | None = None
     seam_bending: bool = False
+    weave: np.ndarray | None = None
+    springs: np.ndarray | None = None
+    bars: np.ndarray | None = None
+    extra_mass: np.ndarray | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 
     def __post_init__(self) -> None:

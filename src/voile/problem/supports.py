@@ -99,6 +99,8 @@ def _pieces(shell: Shell) -> np.ndarray:
     t = shell.triangles
     pairs = [t[:, [0, 1]], t[:, [1, 2]], np.column_stack([shell.slave, shell.first])]
     pairs.append(np.column_stack([shell.slave, shell.second]))
+    if shell.bars is not None:
+        pairs.append(shell.bars[:, :2].astype(np.int64))
     pair = np.concatenate(pairs)
     graph = sp.csr_matrix((np.ones(len(pair)), (pair[:, 0], pair[:, 1])), shape=(n, n))
     return connected_components(graph, directed=False)[1]
@@ -111,6 +113,8 @@ def _free_modes(shell: Shell, vertices: np.ndarray) -> np.ndarray:
     rows = [np.zeros((1, 6))]
     for axis in range(3):
         held = shell.fixed[vertices, axis]
+        if shell.springs is not None:
+            held = held | (shell.springs[vertices, axis] > 0.0)
         r = (x[held] - centre) / size
         unit = np.eye(3)[axis]
         rows.append(np.column_stack([np.tile(unit, (len(r), 1)), np.cross(r, unit)]))

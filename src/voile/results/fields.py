@@ -46,6 +46,17 @@ CELL_FIELDS = {
     "bending_density": Field("J/m^2", "bending energy per rest area"),
     "strain": Field("", "largest principal Green strain"),
     "curvature": Field("1/m", "principal curvature of largest magnitude"),
+    "membrane_force": Field("N/m", "Cauchy membrane force per length, xx yy zz xy yz xz", 6),
+    "principal_membrane_force": Field("N/m", "principal membrane forces, the larger first", 2),
+    "bending_moment": Field(
+        "N", "bending moment per length, xx yy zz xy yz xz; positive bends the normal side out", 6
+    ),
+    "principal_bending_moment": Field("N", "principal bending moments per length, the larger first", 2),
+    "principal_strain": Field("", "principal Green strains, the larger first", 2),
+    "fabric_strain": Field("", "Green strain along the warp, along the weft, and their shear angle", 3),
+    "stress_top": Field("Pa", "stress at the surface on the side of the normal, xx yy zz xy yz xz", 6),
+    "stress_bottom": Field("Pa", "stress at the other surface, xx yy zz xy yz xz", 6),
+    "von_mises": Field("Pa", "von Mises stress, the larger of both surfaces"),
 }
 
 EDGE_ANGLES = Field("rad", "director angle of the edge")

@@ -9,6 +9,7 @@ from typing import Any
 
 from voile.errors import InputError
 from voile.keys import Rejected, Table
+from voile.scene.library import expand
 from voile.scene.plain import plain, toml, toml_value
 from voile.scene.schema import Scene, homes
 
@@ -37,6 +38,7 @@ def read_scene(
             new: f"--set {shown}"
         }
     try:
+        expand(tree)
         scene = Table(Scene).read(tree)
     except Rejected as error:
         problem = error.problem

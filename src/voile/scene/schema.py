@@ -11,16 +11,14 @@ from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
 from voile.keys import (
-    Array,
     Axes,
     Boolean,
-    Box,
     Choice,
+    Grain,
     Integer,
     MeshFile,
     Number,
     Rejected,
-    Selection,
     Table,
     Tables,
     Text,
@@ -29,23 +27,10 @@ from voile.keys import (
     vector,
 )
 from voile.mesh import RawMesh
+from voile.scene.loads import SELECT, SELECTED, Band, Loads, Mass, Spring, Tie
 from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Modes, Output, Statics
-
-SELECT = Selection(
-    {
-        "nodes": Array(Integer(), least=1, lone=True),
-        "group": Array(Text(filled=True), least=1, lone=True),
-        "box": Box(),
-        "boundary": Array(Integer(), least=1, lone=True),
-        "all": Boolean(only_true=True),
-    }
-)
-_SELECT_MEANING = (
-    "vertices: nodes (indices in the mesh file, from 0), group, box [[min], [max]] in m, boundary "
-    "(index of the loop, 0 the longest), all = true; several keys select what satisfies them all"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +43,15 @@ THICKNESS = Number("m", above=0)
 YOUNG = Number("Pa", above=0)
 POISSON = Number(above=-1, below=0.5)
 DENSITY = Number("kg/m^3", above=0)
+SHRINK = Number(above=-1, below=1)
+BENDS = Number("N m", above=0)
+LIBRARY = (
+    "orthotropic: name in the library of measured fabrics, whose values hold where no other keys give them"
+)
+WEFT, SHEAR = "orthotropic: Young's modulus along the weft", "orthotropic: shear modulus"
+STRIPS = "orthotropic: bending stiffness per width of strips along the warp"
+TWIST = "orthotropic: twisting moment per length over twice the twist"
+WARP = "orthotropic: direction of the warp on the rest shape, or the texture coordinate along which it runs"
 MOST_STEPS = 1e9  # of a run in time: years of computing
 
 
@@ -83,6 +77,14 @@ class Shell:
     poisson: float = key(POISSON, "Poisson's ratio", default=0.3)
     thickness: float = key(THICKNESS, "thickness")
     density: float = key(DENSITY, "mass density")
+    shrink: float = key(SHRINK, "what its edges lose of their rest length; below 0 they grow", default=0.0)
+    fabric: str = key(Text(), LIBRARY, default="")
+    young_weft: float | None = key(YOUNG, f"{WEFT}; default: that of the warp", default=None)
+    shear: float | None = key(YOUNG, f"{SHEAR}; default: by Huber's rule", default=None)
+    bending_warp: float | None = key(BENDS, f"{STRIPS}; default: of the thickness", default=None)
+    bending_weft: float | None = key(BENDS, "the same along the weft", default=None)
+    bending_twist: float | None = key(BENDS, f"{TWIST}; default: by Huber's rule", default=None)
+    warp: Vector3 | str | None = key(Grain(), f"{WARP}; default: v", default=None)
     seam_bending: bool = key(
         Boolean(),
         "sewn edges whose ends are sewn vertex to vertex bend like the cloth; false: they turn freely",
@@ -105,47 +107,22 @@ class Fabric:
     poisson: float | None = key(POISSON, "Poisson's ratio; default: the shell's", default=None)
     thickness: float | None = key(THICKNESS, "thickness; default: the shell's", default=None)
     density: float | None = key(DENSITY, "mass density; default: the shell's", default=None)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Force:
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
-    value: Vector3 = key(vector("N"), "dead force, total, shared evenly over the selection")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moment:
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
-    value: float = key(Number("N m"), "moment about the selection's boundary edges, total, shared by length")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Loads:
-    gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
-    pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
-    wind: Vector3 = key(vector("m/s"), "dynamics: velocity of the air", default=(0.0, 0.0, 0.0))
-    drag: float = key(
-        Number("kg/m^3", least=0),
-        "dynamics: force per area over the square of the air's normal velocity, relative to the shell",
-        default=0.0,
+    shrink: float | None = key(
+        SHRINK, "what its edges lose of their rest length; default: the shell's", default=None
     )
-    history: tuple[tuple[float, ...], ...] = key(
-        Array(Array(Number(), length=2)),
-        "dynamics: (t, factor) on gravity, pressure, forces and moments, linear between",
-        default=(),
-    )
-    force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
-    moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
-
-    def check(self, given: set[str]) -> None:
-        for index, row in enumerate(self.history):
-            if index and row[0] <= self.history[index - 1][0]:
-                raise Rejected(f"t = {row[0]:g} s is not after the time before", ("history", index))
+    fabric: str = key(Text(), LIBRARY, default="")
+    young_weft: float | None = key(YOUNG, f"{WEFT}; default: the shell's", default=None)
+    shear: float | None = key(YOUNG, f"{SHEAR}; default: the shell's", default=None)
+    bending_warp: float | None = key(BENDS, f"{STRIPS}; default: the shell's", default=None)
+    bending_weft: float | None = key(BENDS, "the same along the weft", default=None)
+    bending_twist: float | None = key(BENDS, f"{TWIST}; default: the shell's", default=None)
+    warp: Vector3 | str | None = key(Grain(), f"{WARP}; default: the shell's", default=None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fix:
-    select: dict[str, Any] = key(SELECT, _SELECT_MEANING)
+    name: str = key(Text(), "title in the table of reactions; default: fix and its index", default="")
+    select: dict[str, Any] = key(SELECT, SELECTED)
     axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
     clamp: bool = key(
         Boolean(),
@@ -199,6 +176,10 @@ class Scene:
     fabric: tuple[Fabric, ...] = key(Tables(Fabric), "other fabrics, by group of the mesh", default=())
     loads: Loads = key(Table(Loads), "loads", default=Loads())
     fix: tuple[Fix, ...] = key(Tables(Fix), "supports", default=())
+    spring: tuple[Spring, ...] = key(Tables(Spring), "elastic supports", default=())
+    band: tuple[Band, ...] = key(Tables(Band), "elastic bands along edges", default=())
+    tie: tuple[Tie, ...] = key(Tables(Tie), "bars between two vertices", default=())
+    mass: tuple[Mass, ...] = key(Tables(Mass), "masses beside the fabric's", default=())
     obstacle: tuple[Body, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
     contact: Contact = key(Table(Contact), "contact", default=Contact())
     statics: Statics = key(Table(Statics), "task = statics", default=Statics())
@@ -260,6 +241,9 @@ class Scene:
                 f'fits shell.model = "projective" only, which is "{self.shell.model}" here',
                 ("dynamics", "solver"),
             )
+        self._check_fields()
+        self._check_woven()
+        self._check_springs()
         groups = [fabric.group for fabric in self.fabric]
         for index, group in enumerate(groups):
             if group in groups[:index]:
@@ -280,6 +264,39 @@ class Scene:
             where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
             raise Rejected("allowed with modes.buckling = true: no contact", where)
 
+    def _check_fields(self) -> None:
+        if self.output.fields and self.scene.task not in ("statics", "dynamics"):
+            raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
+        if "bending_moment" in self.output.fields and self.shell.model == "membrane":
+            raise Rejected('"bending_moment": a membrane has none', ("output", "fields"))
+        if "fabric_strain" in self.output.fields and self.shell.material != "orthotropic":
+            raise Rejected(
+                '"fabric_strain": allowed with shell.material = "orthotropic"', ("output", "fields")
+            )
+
+    def _check_springs(self) -> None:
+        inverse = self.scene.task == "inverse"
+        if inverse and self.shell.shrink:
+            raise Rejected("allowed with task = inverse: 0", ("shell", "shrink"))
+        for index, fabric in enumerate(self.fabric if inverse else ()):
+            if fabric.shrink:
+                raise Rejected("allowed with task = inverse: 0", ("fabric", index, "shrink"))
+        given = next((name for name in ("spring", "band", "tie") if getattr(self, name)), None)
+        if given and self.scene.task not in ("statics", "dynamics"):
+            raise Rejected("allowed with task = statics or dynamics", (given,))
+        if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
+            raise Rejected('allowed with dynamics.solver = "newton"', (given,))
+
+    def _check_woven(self) -> None:
+        woven = self.shell.material == "orthotropic"
+        if woven and self.shell.model not in WOVEN_MODELS:
+            allowed = '"orthotropic" fits shell.model = "koiter" or "membrane"'
+            raise Rejected(f'{allowed}, not "{self.shell.model}"', ("shell", "material"))
+        for path, table in (("shell",), self.shell), *((("fabric", k), t) for k, t in enumerate(self.fabric)):
+            given = [name for name in WOVEN if getattr(table, name) not in (None, "")]
+            if given and not woven:
+                raise Rejected('allowed with shell.material = "orthotropic"', (*path, given[0]))
+
     def _check_estimate(self) -> None:
         if not self.inverse.also:
             raise Rejected(
@@ -293,6 +310,10 @@ class Scene:
                 "no [[obstacle]]",
                 ("inverse", "estimate"),
             )
+
+
+WOVEN = ("fabric", "young_weft", "shear", "bending_warp", "bending_weft", "bending_twist", "warp")
+WOVEN_MODELS = ("koiter", "membrane")
 
 
 def homes(name: str) -> list[str]:

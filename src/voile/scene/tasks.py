@@ -14,6 +14,18 @@ TASKS = {
 }  # whether this version runs them
 
 
+# What output.fields may name; what they write is in problem/stress_fields.py.
+FIELDS = (
+    "membrane_force",
+    "bending_moment",
+    "strain",
+    "stress",
+    "von_mises",
+    "fabric_strain",
+    "energy_density",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Statics:
     load_steps: int | None = key(
@@ -32,6 +44,21 @@ class Statics:
     nested: bool = key(
         Boolean(), "coarser levels of the mesh first, where only loads lead the shell", default=True
     )
+    load_factors: tuple[float, ...] = key(
+        Array(Number(above=0, most=1), least=1),
+        "prescribed ends of load steps, ascending, the last one 1; a step that fails is still cut",
+        default=(),
+    )
+
+    def check(self, given: set[str]) -> None:
+        factors = self.load_factors
+        for index, factor in enumerate(factors):
+            if index and factor <= factors[index - 1]:
+                raise Rejected(f"{factor:g} is not above the one before", ("load_factors", index))
+        if factors and factors[-1] != 1.0:
+            raise Rejected(f"ends at {factors[-1]:g}; allowed: the last one 1", ("load_factors",))
+        if factors and self.load_steps is not None:
+            raise Rejected("allowed without statics.load_factors, which say where steps end", ("load_steps",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,3 +201,9 @@ class Inverse:
 @dataclass(frozen=True, kw_only=True)
 class Output:
     every: int = key(Integer(1), "write every so many steps; the last one always", default=1)
+    fields: tuple[str, ...] = key(
+        Array(Choice(*FIELDS)),
+        "what to write per triangle in every step: tensors and principal values of forces (N/m) and moments (N), "
+        "strains, stresses at both surfaces",
+        default=(),
+    )

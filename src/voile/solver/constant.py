@@ -22,7 +22,7 @@ class ConstantMatrix:
         self._several: LinearSolver | None = None
         self._groups: list[tuple[np.ndarray, _projective.Cholesky]] = []
         if problem.comm.size > 1:
-            self._several = factored(matrix, counts)
+            self._several = factored(matrix, counts, "")
             return
         with counts.factorising():
             self._split(problem, matrix)

@@ -20,6 +20,7 @@ DEFAULTS = {
     "mat_mumps_cntl_1": "0.0",
     "mat_mumps_icntl_14": "50",
 }
+INERTIA = "inertia_"  # prefix of factorisations that count negative eigenvalues
 
 
 @dataclass
@@ -150,9 +151,12 @@ class LinearSolver:
         return percent <= MOST_WORK_SPACE
 
 
-def factored(matrix: PETSc.Mat, counts: Counts | None = None) -> LinearSolver:
-    """A solver of one symmetric matrix, factored by LDL^T."""
+def factored(matrix: PETSc.Mat, counts: Counts | None = None, prefix: str = INERTIA) -> LinearSolver:
+    """A solver of one symmetric matrix, factored by LDL^T, which counts negative eigenvalues: options of the systems'
+    solver, which may not, do not hold for it but by its own prefix."""
     ksp = PETSc.KSP().create(comm=matrix.comm)
+    ksp.setOptionsPrefix(prefix)
+    set_defaults({prefix + name: value for name, value in DEFAULTS.items()})
     ksp.setType(PETSc.KSP.Type.PREONLY)
     use_cholesky(ksp.pc)
     ksp.pc.setFromOptions()

@@ -20,7 +20,8 @@ class StaticsOptions:
     perturbation off unstable branches in thicknesses; tolerance: residual over the load's norm; stability: test the end
     state, eigenvalue: with its smallest eigenvalue; first: the method to begin with, newton near an equilibrium,
     descent from a start that strains the shell far beyond one, where full steps are of no use; nested: coarser levels
-    of the mesh first, where that pays (see solver.nested)."""
+    of the mesh first, where that pays (see solver.nested); load_factors: prescribed ends of load steps, ascending, the
+    last one 1."""
 
     load_steps: int | None = None
     max_steps: int = 1000
@@ -30,6 +31,7 @@ class StaticsOptions:
     eigenvalue: bool = False
     first: Literal["newton", "descent"] = "newton"
     nested: bool = False
+    load_factors: tuple[float, ...] = ()
 
 
 @dataclass
@@ -49,6 +51,17 @@ class LoadStep:
     reason: str = "residual below tolerance"
 
 
+@dataclass(frozen=True)
+class Jump:
+    """A load step that left its branch: how much it moved the shell, in sizes, and how many times that what the step
+    before let expect; 0 where no short step led on."""
+
+    start: float
+    end: float
+    moved: float
+    times: float
+
+
 @dataclass
 class Path:
     """The outcome: `state` is the last converged one (unknowns), also when `converged` is False."""
@@ -59,6 +72,7 @@ class Path:
     steps: list[LoadStep] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     attempts: int = 0
+    jumps: list[Jump] = field(default_factory=list)
     stable: bool | None = None
     smallest_eigenvalue: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)

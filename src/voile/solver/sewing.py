@@ -50,6 +50,8 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             pressure=0.0,
             force=None,
             moment=None,
+            springs=None,
+            bars=None,
         )
     problem = Problem(loose, comm)
     descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))

@@ -32,6 +32,11 @@ def is_stable(work: Workspace, problem: Problem, y: PETSc.Vec) -> bool:
     else:
         problem.tangent(y, work.matrix)
     work.symmetric.factor(work.matrix)
+    if work.symmetric.negative is None:  # chosen by options
+        solver = factored(work.matrix, work.counts)
+        negative = solver.negative
+        solver.destroy()
+        return negative == 0
     return work.symmetric.negative == 0
 
 

@@ -78,7 +78,7 @@ class TimeSteps:
     def write(self, at: float, residual: float, path: TimePath) -> None:
         """A step of the result file."""
         start, problem = time.perf_counter(), self.problem.at(at)
-        values, own = rows(problem, path.state), problem.part.owned_vertices
+        values, own = rows(problem, path.state, self.job.scene.output.fields), problem.part.owned_vertices
         values["point_data"] = {**values.get("point_data", {}), "velocity": path.kinematics.velocity[own]}
         self.writer.write_step(at, scalars={"residual": residual, "converged": 1.0}, **values)
         self.written = at

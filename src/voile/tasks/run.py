@@ -27,6 +27,8 @@ from voile.petsc_options import unused_options
 from voile.problem.contact import contact_fields, shell_layers, with_obstacles
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
+from voile.problem.stress_fields import shell_fields
+from voile.problem.support_forces import support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.scene import Scene
 from voile.solver.path import LoadStep
@@ -117,6 +119,15 @@ class Run:
             gather=not self.lasting,
         ) as writer:
             yield writer
+
+    def supports(self, problem: Problem, path: LoadPath | TimePath) -> list[dict]:
+        """What each [[fix]] exerts at the end of a path, on rank 0; nothing where nothing is held or computed.
+        Collective."""
+        if path.last is None or not problem.held:
+            return []
+        at = problem.at(path.last.factor if isinstance(path.last, LoadStep) else path.last.time)
+        holds, shell = (self.model.holds, self.model.shell) if self.model else (None, None)
+        return support_table(at, path.state, shell, holds) or []
 
     def summarise(
         self,
@@ -211,17 +222,21 @@ class Steps:
     ) -> None:
         start = time.perf_counter()
         scalars = {"residual": residual, "converged": converged, **energies}
-        self.writer.write_step(at, scalars=scalars, **rows(self.problem.at(at), y))
+        fields = self.run.scene.output.fields
+        self.writer.write_step(at, scalars=scalars, **rows(self.problem.at(at), y, fields))
         self.run.writing += time.perf_counter() - start
 
 
-def rows(problem: Problem, y: PETSc.Vec) -> dict:
-    """What the result file takes of a state: this rank's rows and the obstacles' placements."""
+def rows(problem: Problem, y: PETSc.Vec, fields: tuple[str, ...] = ()) -> dict:
+    """What the result file takes of a state: this rank's rows and the obstacles' placements; fields: the scene's
+    output.fields."""
     part, (u, phi) = problem.part, problem.local(y)
     own = part.owned_vertices
     values = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
     if problem.directors:
         values |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
+    if fields:
+        values["cell_data"], values["cell_index"] = shell_fields(problem, y, fields)
     if problem.contact:
         values["point_data"] = {name: values[own] for name, values in contact_fields(problem, y).items()}
         bodies = problem.contact.obstacles

@@ -1,7 +1,9 @@
 """task = statics: the equilibria along the load path."""
 
+import math
+
 from voile.scene import Scene
-from voile.solver.path import StaticsOptions
+from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
 from voile.tasks.run import Run, Steps
 
@@ -14,7 +16,8 @@ def run(job: Run) -> str:
         steps = Steps(job, problem, writer)
         path = solve_statics(problem, options, on_step=steps)
         steps.finish(path)
-    job.summarise(problem, path)
+    _tell(job, path)
+    job.summarise(problem, path, supports=job.supports(problem, path))
     return "" if path.converged else path.reason
 
 
@@ -28,5 +31,28 @@ def options_of(scene: Scene) -> StaticsOptions:
         s.tolerance,
         s.stability,
         s.eigenvalue,
-        nested=s.nested and s.load_steps is None,
+        nested=s.nested and s.load_steps is None and not s.load_factors,
+        load_factors=s.load_factors,
     )
+
+
+def _tell(job: Run, path: Path) -> None:
+    """Notes and says what a user should know of a path that ended well: jumps, and an end that is not stable."""
+    said = []
+    for jump in path.jumps:
+        why = (
+            f"{jump.times:.2g} times what the step before let expect"
+            if jump.times
+            else "no short step led on"
+        )
+        said.append(
+            f"between load factors {jump.start:.4g} and {jump.end:.4g} the shell moves by {jump.moved:.3g} of its "
+            f"size, {why}: it snaps or buckles there"
+        )
+    if path.converged and path.stable is False:
+        value = path.smallest_eigenvalue
+        why = "" if value is None or math.isnan(value) else f", its smallest eigenvalue is {value:.3g} 1/s^2"
+        said.append(f"the end state is an equilibrium but not stable{why}: disturbed, the shell leaves it")
+    for text in said:
+        job.note(text)
+        job.progress.line(f"note: {text}")

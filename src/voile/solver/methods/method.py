@@ -128,7 +128,10 @@ class Nonlinear:
         """By how much the last run, which ended at y, missed its tolerance; and round-off, where it is to blame."""
         asked, why = self.snes.getTolerances()[1], REASONS.get(self.snes.getConvergedReason(), "?")
         noise = max(round_off(self.problem, y))
-        blame = f"; round-off is {noise:.1e} N" if self.norm < BLAMED * noise else ""
+        blame = ""
+        if self.norm < BLAMED * noise:
+            times = max(noise, self.norm) / asked
+            blame = f"; round-off is {noise:.1e} N: a tolerance (statics.tolerance) {times:.0e} times as large is met"
         return f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){blame}"
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:

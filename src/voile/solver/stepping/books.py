@@ -83,11 +83,12 @@ class Books:
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
         inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
         elastic, loads = forces.elastic.forces(at), forces.loads(at)
+        springs = sum((term.forces(at) for term in problem.springs), np.zeros_like(loads))
         damping = forces.resistance(at, step.prediction)
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         work = {
             name: self._work(force, way)
-            for name, force in (("elastic", elastic), ("loads", loads), ("damping", damping))
+            for name, force in (("elastic", elastic + springs), ("loads", loads), ("damping", damping))
         }
         moved = self._sum((inertia * way).sum(axis=1))
         gained = self.kinetic(step.after) - self.kinetic(before)
@@ -100,7 +101,7 @@ class Books:
         contact = dict.fromkeys(("friction", "impact", "obstacles", "total"), 0.0)
         if problem.contact:
             contact = contact_work(problem, step.y, way, before.positions)
-        missed = self._residual_work(step, way, inertia, elastic + loads + damping)
+        missed = self._residual_work(step, way, inertia, elastic + springs + loads + damping)
         lost = sum(self.totals[name] for name in LOST)
         return {
             "error": missed,
@@ -149,7 +150,9 @@ class Books:
         return float(self.problem.comm.allreduce(float(values[self.problem.own].sum())))
 
     def _elastic(self, at: Point) -> float:
-        return float(self.problem.comm.allreduce(sum(self.problem.elastic.energies(at).values())))
+        """Energy of the shell and its springs (J)."""
+        terms = (self.problem.elastic, *self.problem.springs)
+        return float(self.problem.comm.allreduce(sum(sum(term.energies(at).values()) for term in terms)))
 
     def _loads(self, at: Point) -> float:
         return float(self.problem.comm.allreduce(sum(self.problem.loads.energies(at).values())))

@@ -26,7 +26,8 @@ class StepControl:
 
     nominal: length of the first step; most: cuts until the last resort, every method at once; cap: of any step, by
     default the nominal length. rate: motion in sizes of the shell per load factor; stable: whether it starts from a
-    stable equilibrium; snaps since the last longer step without one; failures after the last resort.
+    stable equilibrium; snaps since the last longer step without one; failures after the last resort. marks: load
+    factors that a step ends at, ascending, the last one 1.
     """
 
     nominal: float
@@ -38,6 +39,7 @@ class StepControl:
     stable: bool = True
     snaps: int = 0
     failures: int = 0
+    marks: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
         self.options = Options()
@@ -46,7 +48,8 @@ class StepControl:
     @property
     def target(self) -> float:
         """Load factor at the end of the next step."""
-        return 1.0 if self.factor + self.step > 1.0 - 1e-9 else self.factor + self.step
+        mark = next(mark for mark in self.marks if mark > self.factor)
+        return mark if self.factor + self.step > mark - 1e-9 else self.factor + self.step
 
     @property
     def last_resort(self) -> bool:

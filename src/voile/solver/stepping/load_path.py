@@ -18,7 +18,7 @@ from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Method, Outcome
-from voile.solver.path import LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
+from voile.solver.path import Jump, LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
 
@@ -57,8 +57,11 @@ class LoadPath:
             cuts = self.options.cuts if problem.supported else 0  # a smaller load holds nothing better
         elif self.solver.nests:
             cuts = 1  # its descents start from coarser levels, not from the last load step
+        marks = options.load_factors or (1.0,)
         first = 1.0 / load_steps(problem, options)
-        self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0)
+        if options.load_factors:
+            first = float(np.diff((0.0, *marks)).max())
+        self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0, marks=marks)
         self.moving = problem.moves or bool(contact and contact.moves)
 
     def follow(self, on_step: Progress | None) -> None:
@@ -93,6 +96,7 @@ class LoadPath:
             else:
                 if control.target == 1.0 and self.asked.stability:
                     done = self._settle(done)
+                self._watch(start)
                 control.advanced(done.iterations)
             y.copy(path.state)
             path.steps.append(done)
@@ -100,6 +104,24 @@ class LoadPath:
                 on_step(done, y)
             self._begin()
         path.converged, path.reason = True, path.steps[-1].reason
+
+    def _watch(self, start: State) -> None:
+        """Remembers a jump of a step without contact."""
+        control, problem = self.control, self.problem
+        length, before = control.target - control.factor, control.rate
+        moved = problem.largest_motion(difference(self.y, problem.unknowns_of(start)))
+        control.rate = moved / length
+        lost = control.last_resort and self.path.steps and not self.solver.nests
+        if lost and moved > self.options.notable:
+            self.path.jumps.append(Jump(control.factor, control.target, moved, 0.0))
+        else:
+            self._note_jump(moved, max(before * length, self.options.notable / self.options.jump))
+
+    def _note_jump(self, moved: float, expected: float) -> None:
+        """Remembers a step that moved the shell so many sizes, if that is a jump."""
+        if self.options.jump * expected < moved:
+            jump = Jump(self.control.factor, self.control.target, moved, moved / expected)
+            self.path.jumps.append(jump)
 
     def _begin(self) -> None:
         """Slip is measured from here on."""
@@ -171,7 +193,9 @@ class LoadPath:
             return None
         if self.asked.stability and (jumps or not stable or control.target == 1.0):
             done, stable = self._settle_contact(done)
-        done.method = f"snap by {done.method}" if jumps and problem.supported else done.method
+        if jumps and problem.supported:
+            done.method = f"snap by {done.method}"
+            self._note_jump(moved, self._expected())
         control.done(done.iterations, moved, jumps)
         control.stable = stable
         return done

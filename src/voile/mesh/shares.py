@@ -1,0 +1,73 @@
+"""How a total over a selection of vertices is shared among them."""
+
+import numpy as np
+
+from voile.errors import InputError
+from voile.mesh.surface import Surface
+from voile.mesh.topology import Topology
+
+SHARES = ("length", "area", "vertices")
+
+
+def shares(
+    surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
+) -> tuple[np.ndarray, str]:
+    """(n,) parts of 1 on the selected vertices (k,), zero elsewhere, and how they are shared; see `portions`."""
+    found, by = portions(surface, topology, vertices, by, where)
+    return found / found.sum(), by
+
+
+def portions(
+    surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
+) -> tuple[np.ndarray, str]:
+    """(n,) what each of the selected vertices (k,) has of their length (m), area (m^2) or number, zero elsewhere, and
+    which of them it is.
+
+    by length: an edge with both ends selected gives half its length to each (boundary edges only, where they reach all
+    that is selected); by area: a triangle with all corners selected gives a third of its area to each; by vertices:
+    alike. None: by area where such triangles reach all that is selected, else by length where edges do, else alike.
+    Lengths and areas are those of the start shape. Raises InputError, naming the key `where`, where `by` does not reach
+    what is selected.
+    """
+    inside = np.zeros(len(surface.points), dtype=bool)
+    inside[vertices] = True
+    found = {name: _weights(surface, topology, inside, name) for name in SHARES if by in (None, name)}
+    if by is None:
+        by = next(name for name in ("area", "length", "vertices") if _reaches(found[name], inside))
+    elif not _reaches(found[by], inside):
+        missing = int(surface.input_vertex[np.flatnonzero(inside & (found[by] == 0.0))[0]])
+        what = "edge with both ends" if by == "length" else "triangle with all corners"
+        raise InputError(
+            f'{where} = "{by}": vertex {missing} is on no {what} selected; allowed there: "vertices"'
+        )
+    return found[by], by
+
+
+def _reaches(weight: np.ndarray, inside: np.ndarray) -> bool:
+    return bool((weight[inside] > 0.0).all())
+
+
+def _weights(surface: Surface, topology: Topology, inside: np.ndarray, by: str) -> np.ndarray:
+    x, n = surface.points, len(surface.points)
+    if by == "vertices":
+        return inside.astype(float)
+    if by == "area":
+        t = surface.triangles[inside[surface.triangles].all(axis=1)]
+        twice = np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
+        return np.bincount(t.ravel(), np.repeat(twice / 6.0, 3), n)
+
+    def along(edges: np.ndarray) -> np.ndarray:
+        length = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
+        return np.bincount(edges.ravel(), np.repeat(length / 2.0, 2), n)
+
+    return along(edges_of(topology, inside))
+
+
+def edges_of(topology: Topology, inside: np.ndarray) -> np.ndarray:
+    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it."""
+    edges = topology.edges[inside[topology.edges].all(axis=1)]
+    rim = topology.edges[topology.boundary_edges]
+    rim = rim[inside[rim].all(axis=1)]
+    reached = np.zeros(len(inside), dtype=bool)
+    reached[rim] = True
+    return rim if (reached >= inside).all() else edges

@@ -1,0 +1,138 @@
+"""Keys of loads, and of what is attached to a shell: springs, bands, ties, masses. Selections of vertices."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from voile.keys import (
+    Array,
+    Axes,
+    Boolean,
+    Box,
+    Choice,
+    Integer,
+    Number,
+    Rejected,
+    Selection,
+    Tables,
+    Text,
+    Vector3,
+    key,
+    vector,
+)
+
+SELECT = Selection(
+    {
+        "nodes": Array(Integer(), least=1, lone=True),
+        "group": Array(Text(filled=True), least=1, lone=True),
+        "box": Box(),
+        "boundary": Array(Integer(), least=1, lone=True),
+        "all": Boolean(only_true=True),
+    }
+)
+SELECTED = (
+    "vertices: nodes (indices in the mesh file, from 0), group (of triangles, or of a Gmsh file's lines and points), "
+    "box [[min], [max]] in m, boundary (index of the loop, 0 the longest), all = true; several keys select what "
+    "satisfies them all"
+)
+
+
+SHARES = ("length", "area", "vertices")
+SHARE_MEANING = (
+    "how a total is shared: by the length of the edges or the area of the triangles that the selection holds, or alike "
+    "on all vertices; default: by area of a patch, by length along a line, else alike"
+)
+PER = ("total", "length", "area")
+PER_MEANING = "total over the selection, or per length of its edges or area of its triangles, at the start"
+
+
+def check_share(per: str, share: str | None) -> None:
+    """Raises Rejected for a share that is not what the value is per."""
+    if per != "total" and share is not None and share != per:
+        raise Rejected(f'"{share}"; allowed with per = "{per}": none, or "{per}"', ("share",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Force:
+    select: dict[str, Any] = key(SELECT, SELECTED)
+    value: Vector3 = key(vector("N, N/m or Pa, see per"), "dead force")
+    per: str = key(Choice(*PER), PER_MEANING, default="total")
+    share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
+
+    def check(self, given: set[str]) -> None:
+        check_share(self.per, self.share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    select: dict[str, Any] = key(SELECT, SELECTED)
+    value: float = key(Number("N m"), "moment about the selection's boundary edges, total, shared by length")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loads:
+    gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
+    pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
+    wind: Vector3 = key(vector("m/s"), "dynamics: velocity of the air", default=(0.0, 0.0, 0.0))
+    drag: float = key(
+        Number("kg/m^3", least=0),
+        "dynamics: force per area over the square of the air's normal velocity, relative to the shell",
+        default=0.0,
+    )
+    history: tuple[tuple[float, ...], ...] = key(
+        Array(Array(Number(), length=2)),
+        "dynamics: (t, factor) on gravity, pressure, forces and moments, linear between",
+        default=(),
+    )
+    force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
+    moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
+
+    def check(self, given: set[str]) -> None:
+        for index, row in enumerate(self.history):
+            if index and row[0] <= self.history[index - 1][0]:
+                raise Rejected(f"t = {row[0]:g} s is not after the time before", ("history", index))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spring:
+    select: dict[str, Any] = key(SELECT, SELECTED)
+    stiffness: float = key(
+        Number("N/m, N/m^2 or N/m^3, see per", above=0), "of an elastic support to where the shell starts"
+    )
+    axes: str = key(Axes(), "axes along which it acts", default="xyz")
+    per: str = key(Choice(*PER), PER_MEANING, default="total")
+    share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
+
+    def check(self, given: set[str]) -> None:
+        check_share(self.per, self.share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    select: dict[str, Any] = key(SELECT, SELECTED)
+    stiffness: float = key(
+        Number("N", above=0),
+        "of an elastic band along the selection's edges: force over extension of its length",
+    )
+    rest: float = key(Number(above=0), "its length at rest over that of the edges at the start", default=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tie:
+    nodes: tuple[int, ...] = key(
+        Array(Integer(0), length=2), "two vertices (indices in the mesh file, from 0)"
+    )
+    stiffness: float = key(Number("N/m", above=0), "of the bar between them")
+    length: float | None = key(
+        Number("m", least=0), "of the bar at rest; default: their distance at the start", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mass:
+    select: dict[str, Any] = key(SELECT, SELECTED)
+    value: float = key(Number("kg, kg/m or kg/m^2, see per", above=0), "mass beside the fabric's")
+    per: str = key(Choice(*PER), PER_MEANING, default="total")
+    share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
+
+    def check(self, given: set[str]) -> None:
+        check_share(self.per, self.share)

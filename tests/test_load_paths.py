@@ -1,0 +1,182 @@
+"""How totals are shared, where load steps end, and what a run says of its path."""
+
+import re
+
+import numpy as np
+import pytest
+
+from voile.cli import main
+from voile.mesh import build_topology, read_mesh, shares
+from voile.post.quantities import quantity
+from voile.results import read_result, read_summary
+
+LENGTH, WIDTH, YOUNG, THICKNESS = 0.4, 0.1, 1e8, 1e-3
+PULLED = f"""
+[shell]
+mesh = "strip.obj"
+model = "membrane"
+young = {YOUNG}
+thickness = {THICKNESS}
+density = 300.0
+[loads]
+gravity = [0.0, 0.0, 0.0]
+[[loads.force]]
+select = {{ box = [[0.399, -1, -1], [1, 1, 1]] }}
+value = [2.0, 0.0, 0.0]
+[[fix]]
+select = {{ box = [[-1, -1, -1], [0.001, 1, 1]] }}
+axes = "x"
+[[fix]]
+select = {{ box = [[-1, -1, -1], [0.001, -0.049, 1]] }}
+[[fix]]
+select = {{ all = true }}
+axes = "z"
+"""
+ARCH = """
+[shell]
+mesh = "strip.obj"
+bending = "average"
+young = 1e9
+thickness = 1e-3
+density = 1e3
+[loads]
+gravity = [0.0, 0.0, -9.81]
+[[fix]]
+select = { box = [[-1, -1, -1], [0.001, 1, 1]] }
+[[fix]]
+select = { box = [[0.399, -1, -1], [1, 1, 1]] }
+"""
+
+
+def write(folder, text: str, nx: int = 8, ny: int = 4, rise: float = 0.0, power: float = 1.0) -> str:
+    """A scene of a strip along x, risen as a sine, its columns unevenly wide for power > 1; the scene's path."""
+    xs = np.linspace(0.0, LENGTH, nx + 1)
+    ys = WIDTH * (np.linspace(0.0, 1.0, ny + 1) ** power - 0.5)
+    z = rise * np.sin(np.pi * xs / LENGTH)
+    lines = [f"v {x:.17g} {y:.17g} {h:.17g}" for x, h in zip(xs, z, strict=True) for y in ys]
+    for i in range(nx):
+        for j in range(ny):
+            a = i * (ny + 1) + j + 1
+            b = a + ny + 1
+            lines += [f"f {a} {b} {b + 1}", f"f {a} {b + 1} {a + 1}"]
+    (folder / "strip.obj").write_text("\n".join(lines) + "\n")
+    (folder / "scene.toml").write_text(text)
+    return str(folder / "scene.toml")
+
+
+def run(folder, scene: str, *sets: str, code: int = 0) -> dict:
+    """Runs a scene; its summary."""
+    options = [word for each in sets for word in ("--set", each)]
+    assert main(["run", scene, "-o", str(folder / "out"), *options]) == code
+    return read_summary(folder / "out" / "summary.json")
+
+
+def test_a_force_on_an_edge_pulls_evenly(tmp_path):
+    """Uniform tension, on columns of unequal width: F/w = 20 N/m, strain 2e-4 + second order. Sharing alike strains the
+    corners too much."""
+    scene = write(
+        tmp_path, PULLED.replace("[0.001, 0.001, 1]", "[0.001, 1, 1]").replace("-0.001", "0.0499"), 8, 4, 0, 2
+    )
+    strains = {}
+    for share in ("default", "vertices"):
+        run(tmp_path, scene, *([] if share == "default" else ["loads.force.0.share=vertices"]))
+        strains[share] = quantity(read_result(tmp_path / "out"), "strain").values
+    exact = 2.0 / WIDTH / (YOUNG * THICKNESS)
+    np.testing.assert_allclose(
+        strains["default"], exact, rtol=5e-4
+    )  # Green's strain and a dead force: 3/2 strain
+    assert np.ptp(strains["default"]) < 1e-6 * exact
+    assert strains["vertices"].max() > 1.2 * exact
+
+
+def test_shares_of_lines_patches_and_points(tmp_path):
+    write(tmp_path, PULLED, 4, 4, power=2.0)
+    surface = read_mesh(tmp_path / "strip.obj")
+    topology = build_topology(surface.triangles)
+    end = np.flatnonzero(surface.points[:, 0] > LENGTH - 1e-9)
+    part, by = shares(surface, topology, end, None, "here")
+    assert by == "length" and part.sum() == pytest.approx(1.0) and not part[: end[0]].any()
+    y = surface.points[end, 1]
+    gaps = np.diff(y)
+    np.testing.assert_allclose(part[end] * WIDTH, 0.5 * (np.append(0, gaps) + np.append(gaps, 0)), rtol=1e-12)
+    part, by = shares(surface, topology, np.arange(25), None, "here")
+    assert by == "area" and part @ surface.points[:, 0] == pytest.approx(LENGTH / 2)
+    assert part @ surface.points[:, 1] == pytest.approx(0.0, abs=1e-15)
+    part, by = shares(surface, topology, np.array([0, 12]), None, "here")
+    assert by == "vertices" and part[[0, 12]].tolist() == [0.5, 0.5]
+    part, _ = shares(surface, topology, end, "vertices", "here")
+    np.testing.assert_allclose(part[end], 0.2)
+    border = np.flatnonzero(np.isin(np.arange(25) // 5, [0, 4]) | np.isin(np.arange(25) % 5, [0, 4]))
+    part, by = shares(surface, topology, border, None, "here")  # corner triangles are no patch
+    assert by == "length" and part[4] * 2 * (LENGTH + WIDTH) == pytest.approx((LENGTH / 4 + gaps[-1]) / 2)
+
+
+@pytest.mark.parametrize(
+    ("sets", "message"),
+    [
+        (["loads.force.0.share=area"], 'loads.force.0.share = "area": vertex 40 is on no triangle'),
+        (["loads.force.0.share=even"], 'allowed: "length", "area", "vertices"'),
+        (["statics.load_factors=[0.5, 0.2, 1]"], "load_factors.1: 0.2 is not above the one before"),
+        (["statics.load_factors=[0.5]"], "load_factors: ends at 0.5; allowed: the last one 1"),
+        (
+            ["statics.load_factors=[1]", "statics.load_steps=3"],
+            "load_steps: allowed without statics.load_factors",
+        ),
+        (["statics.load_factors=[0, 1]"], "0 is not allowed"),
+    ],
+)
+def test_bad_values_are_refused(tmp_path, capsys, sets, message):
+    scene = write(tmp_path, PULLED)
+    options = [word for each in sets for word in ("--set", each)]
+    assert main(["run", scene, "-o", str(tmp_path / "out"), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_load_steps_end_where_they_are_asked_to(tmp_path):
+    wanted = [0.01, 0.3, 0.31, 1.0]
+    scene = write(tmp_path, PULLED)
+    run(tmp_path, scene, f"statics.load_factors={wanted}")
+    result = read_result(tmp_path / "out")
+    assert result.values.tolist() == wanted
+    moved = [(result.points(k) - result.start)[:, 0].max() for k in range(4)]
+    np.testing.assert_allclose(moved, np.array(wanted) * moved[-1], rtol=1e-3)
+
+
+def test_a_snap_under_load_is_told(tmp_path, capsys):
+    """A hinged shallow arch, six thicknesses high, snaps through under its own weight."""
+    scene = write(tmp_path, ARCH, 24, 2, rise=6e-3)
+    summary = run(tmp_path, scene, "statics.nested=false", "statics.load_steps=40")
+    assert summary["stable"] and summary["converged"]
+    notes = [note for note in summary["notes"] if "snaps or buckles" in note]
+    assert len(notes) == 1
+    start, end = map(float, re.findall(r"factors (\S+) and (\S+) ", notes[0])[0])
+    assert 0.2 < start < end <= 1.0 and f"note: {notes[0]}" in capsys.readouterr().out
+    calm = run(tmp_path, scene, "statics.nested=false", "statics.load_steps=40", "loads.gravity=[0,0,9.81]")
+    assert not calm["notes"]
+
+
+def test_an_end_that_is_not_stable_is_told(tmp_path, capsys):
+    """A standing strip far above its buckling weight, whose symmetry nothing perturbs."""
+    text = (
+        ARCH[: ARCH.rindex("[[fix]]")]
+        .replace("-9.81]", "0.0]")
+        .replace("[0.0, 0.0, 0.0]", "[-9.81, 0.0, 0.0]")
+    )
+    summary = run(
+        tmp_path,
+        write(tmp_path, text + "clamp = true\n", 8, 2),
+        "statics.perturbation=0",
+        "shell.density=3000",
+    )
+    assert summary["stable"] is False and summary["smallest_eigenvalue"] < 0.0
+    (note,) = summary["notes"]
+    assert "not stable, its smallest eigenvalue is -" in note and note in capsys.readouterr().out
+
+
+def test_options_go_between_the_arguments_of_export(tmp_path, capsys):
+    run(tmp_path, write(tmp_path, PULLED), "statics.load_factors=[0.5, 1]")
+    result, out = str(tmp_path / "out"), tmp_path / "a.obj"
+    assert main(["export", result, "--step", "0", str(out)]) == 0
+    assert out.is_file()
+    assert main(["export", result]) == 2 and "no output; allowed" in capsys.readouterr().err
+    assert main(["export", result, str(out), "--to", "ply"]) == 2

@@ -1,0 +1,195 @@
+"""Forces, moments, stresses in result files against closed forms: tension, a cylinder under pressure, a bent strip."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shells import mapped
+
+from voile.cli import main
+from voile.problem.stress_fields import FIELDS
+from voile.results import CELL_FIELDS, read_result
+from voile.scene.tasks import Output
+
+ALL = ["membrane_force", "bending_moment", "strain", "stress", "von_mises", "energy_density"]
+YOUNG, POISSON, THICKNESS = 1e7, 0.3, 1e-3
+
+
+def run(folder: Path, points, triangles, lines: str, *sets: str, fields=ALL, code: int = 0):
+    """The result of a scene of one mesh without gravity."""
+    text = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()] + [
+        "f {} {} {}".format(*t) for t in triangles + 1
+    ]
+    (folder / "mesh.obj").write_text("\n".join(text) + "\n")
+    head = "[shell]\nmesh = 'mesh.obj'\ndensity = 300.0\n"
+    head += f"young = {YOUNG}\npoisson = {POISSON}\nthickness = {THICKNESS}\n"
+    lines = "[loads]\ngravity = [0.0, 0.0, 0.0]\n" + lines + f"\n[output]\nfields = {fields}\n"
+    (folder / "scene.toml").write_text(head + lines)
+    options = [word for each in sets for word in ("--set", each)]
+    assert main(["run", str(folder / "scene.toml"), "-o", str(folder / "out"), *options]) == code
+    return read_result(folder / "out") if code == 0 else None
+
+
+def test_the_scene_names_what_the_program_knows():
+    (kind,) = (f.metadata["kind"] for f in Output.__dataclass_fields__.values() if f.name == "fields")
+    assert kind.item.values == tuple(FIELDS) and set(FIELDS) == {*ALL, "fabric_strain"}
+    assert {name for names in FIELDS.values() for name in names} < set(CELL_FIELDS)
+
+
+@pytest.mark.parametrize(
+    "model", ["koiter/stvk", "koiter/neo-hookean", "koiter/tension-field", "membrane/stvk"]
+)
+def test_uniform_tension(tmp_path, model):
+    """Force over the present width; Cauchy's stress is that over the rest thickness, as the model has it. Small strain:
+    the second-order terms are 1e-3 of it."""
+    u, v, triangles, _ = mapped(6, 3, "right")
+    points = np.column_stack([0.2 * u, 0.1 * v, 0.0 * u])
+    name, material = model.split("/")
+    scene = """[[loads.force]]
+select = { box = [[0.199, -1, -1], [1, 1, 1]] }
+value = [0.5, 0.0, 0.0]
+[[fix]]
+select = { box = [[-1, -1, -1], [0.001, 1, 1]] }
+axes = "x"
+[[fix]]
+select = { box = [[-1, -1, -1], [0.001, 0.001, 1]] }
+[[fix]]
+select = { all = true }
+axes = "z"
+"""
+    fields = [f for f in ALL if f != "bending_moment"] if name == "membrane" else ALL
+    sets = [f"shell.model={name}", f"shell.material={material}"]
+    result = run(tmp_path, points, triangles, scene, *sets, fields=fields)
+    width = np.ptp(result.points()[:, 1])
+    assert 1.0 - width / 0.1 == pytest.approx(POISSON * 5e-4, rel=2e-3)
+    force, exact = result.field("membrane_force"), 0.5 / width
+    np.testing.assert_allclose(force[:, 0], exact, rtol=1e-6)
+    np.testing.assert_allclose(force[:, 1:], 0.0, atol=1e-6 * exact)
+    np.testing.assert_allclose(
+        result.field("principal_membrane_force"), [[exact, 0.0]] * 36, atol=1e-6 * exact
+    )
+    for side in ("top", "bottom"):
+        np.testing.assert_allclose(result.field(f"stress_{side}")[:, 0], exact / THICKNESS, rtol=1e-6)
+    np.testing.assert_allclose(result.field("von_mises"), exact / THICKNESS, rtol=1e-6)
+    np.testing.assert_allclose(result.field("principal_strain")[:, 0], 5e-4, rtol=2e-3)
+    np.testing.assert_allclose(result.field("principal_strain")[:, 1], -POISSON * 5e-4, rtol=2e-3)
+    stored = result.field("energy_density")
+    np.testing.assert_allclose(stored, 0.5 * 5.0 * 5e-4, rtol=4e-3)
+    assert (stored * 0.02 / 36).sum() == pytest.approx(result.scalars()["stretching"], rel=1e-9)
+    np.testing.assert_array_equal(
+        stored, result.field("stretching_density") + result.field("bending_density")
+    )
+
+
+def cylinder(around: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radius 0.1 m, two thirds of it long, about the z axis, normals outwards."""
+    rows = around // 8
+    i, j = np.meshgrid(np.arange(around), np.arange(rows + 1), indexing="ij")
+    angle = 2.0 * np.pi * (i + 0.5 * j) / around
+    points = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0.07 * j / rows], axis=2).reshape(-1, 3)
+    k = (np.arange(around)[:, None] * (rows + 1) + np.arange(rows)).ravel()
+    n = (k + rows + 1) % len(points)
+    return points, np.concatenate([np.column_stack([k, n, k + 1]), np.column_stack([k + 1, n, n + 1])])
+
+
+@pytest.mark.parametrize("model", ["koiter", "membrane", "discrete-shells"])
+def test_cylinder_under_pressure(tmp_path, model):
+    """Ends that slide: hoop force p r, axial force nu p r, with r the present radius; second order in the facets."""
+    pressure, errors = 200.0, []
+    for around in (16, 32, 64):
+        points, triangles = cylinder(around)
+        ends = "[[fix]]\nselect = { box = [[-1, -1, %g], [1, 1, %g]] }\naxes = 'z'\n"
+        scene = "pressure = 200.0\n" + ends % (-1, 0.001) + ends % (0.069, 1)
+        quarter = (len(points) // around) * np.array([0, around // 4, around // 2])
+        for k, axis in zip(quarter, "yxy", strict=True):
+            scene += f"[[fix]]\nselect = {{ nodes = {k} }}\naxes = '{axis}'\n"
+        fields = ["membrane_force", "strain"] if model != "discrete-shells" else ["membrane_force"]
+        result = run(tmp_path, points, triangles, scene, f"shell.model={model}", fields=fields)
+        radius = np.hypot(*result.points()[:, :2].T)
+        assert np.ptp(radius) < 1e-6  # no bending
+        exact = pressure * radius.mean()
+        hoop = result.field("principal_membrane_force")
+        errors.append(np.abs(hoop[:, 0] / exact - 1.0).max())
+        if model != "discrete-shells":  # whose Poisson's ratio is its mesh's
+            assert np.abs(hoop[:, 1] / exact - POISSON).max() < 2.0 * errors[-1]
+    rate = 2.5 if model == "discrete-shells" else 3.5
+    assert errors[-1] < 2e-3 and errors[0] / errors[1] > rate and errors[1] / errors[2] > rate
+
+
+def test_strip_bent_to_an_arc(tmp_path):
+    """An end moment bends a strip to an arc: moment M/w along, none across, stress 6 M/(w h^2) at the surfaces, tension
+    on the outer one. Mean over the triangles, which have a clamp and free edges."""
+    errors, moment = [], 2e-5
+    for n in (10, 20, 40):
+        u, v, triangles, _ = mapped(n, n // 5, "crossed")
+        points = np.column_stack([0.2 * u, 0.04 * (v - 0.5), 0.0 * u])
+        scene = f"""[[loads.moment]]
+select = {{ box = [[0.199, -1, -1], [1, 1, 1]] }}
+value = {moment}
+[[fix]]
+select = {{ box = [[-1, -1, -1], [0.001, 1, 1]] }}
+axes = "xz"
+clamp = true
+[[fix]]
+select = {{ box = [[-1, -0.001, -1], [0.001, 0.001, 1]] }}
+"""
+        result = run(tmp_path, points, triangles, scene, "shell.bending=tan", "shell.poisson=0")
+        turned = result.points()[:, 2].max()
+        assert abs(turned) > 1e-3
+        along, across = result.field("principal_bending_moment").T
+        bent = np.where(np.abs(along) > np.abs(across), along, across)
+        other = along + across - bent
+        exact = moment / 0.04
+        sign = np.sign(bent.mean())
+        errors.append(np.sqrt(np.mean((sign * bent / exact - 1.0) ** 2 + (other / exact) ** 2)))
+        outer = result.field("stress_top" if sign > 0 else "stress_bottom")
+        stress = np.trace(outer[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]], axis1=1, axis2=2)
+        assert stress.mean() == pytest.approx(6.0 * exact / THICKNESS**2, rel=0.02 * (10 / n) ** 2)
+        assert result.field("von_mises").mean() == pytest.approx(
+            6.0 * exact / THICKNESS**2, rel=0.02 * (10 / n) ** 2
+        )
+
+    assert errors[-1] < 1e-5 and errors[0] > 8.0 * errors[1] > 64.0 * errors[2]
+
+
+def test_two_ranks_write_the_same_fields_in_time(tmp_path, run_on):
+    u, v, triangles, _ = mapped(8, 4, "crossed")
+    points = np.column_stack([0.2 * u, 0.1 * v, 0.0 * u])
+    scene = """pressure = 5.0
+[[fix]]
+select = { box = [[-1, -1, -1], [0.001, 1, 1]] }
+clamp = true
+[dynamics]
+time_step = 1e-2
+duration = 0.05
+"""
+    sets = ["scene.task=dynamics", "dynamics.tolerance=1e-9"]
+    one = run(tmp_path, points, triangles, scene, *sets)
+    text = (tmp_path / "scene.toml").read_text().replace("[dynamics]\n", "[dynamics]\ntolerance = 1e-9\n")
+    (tmp_path / "scene.toml").write_text("[scene]\ntask = 'dynamics'\n" + text)
+    run_on(2, tmp_path / "scene.toml", tmp_path / "two")
+    two = read_result(tmp_path / "two")
+    assert one.n_steps == two.n_steps == 6
+    for name in (name for field in ALL for name in FIELDS[field]):
+        mine, other = one.field(name), two.field(name)
+        np.testing.assert_allclose(mine, other, atol=1e-6 * np.abs(mine).max())
+    assert not np.any(one.field("membrane_force", 0)) and np.any(one.field("membrane_force", 3))
+    assert main(["info", str(tmp_path / "two")]) == 0
+    assert main(["export", str(tmp_path / "two"), str(tmp_path / "two.vtu")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("sets", "message"),
+    [
+        (["shell.model=membrane"], 'output.fields: "bending_moment": a membrane has none'),
+        (["output.fields=['fabric_strain']"], '"fabric_strain": allowed with shell.material = "orthotropic"'),
+        (["output.fields=['forces']"], "'forces' is not allowed; allowed: \"membrane_force\", "),
+        (["scene.task=inverse"], "output.fields: allowed with task = statics or dynamics"),
+    ],
+)
+def test_fields_that_there_are_not_are_refused(tmp_path, capsys, sets, message):
+    u, v, triangles, _ = mapped(2, 1, "right")
+    points = np.column_stack([u, v, 0.0 * u])
+    fix = "[[fix]]\nselect = { nodes = [0, 1, 2] }\n"
+    run(tmp_path, points, triangles, fix, *sets, code=2)
+    assert message in capsys.readouterr().err
