@@ -15,8 +15,9 @@ SAME = 1e-9  # of an error: another run's is the same
 
 @dataclass
 class Row:
-    """A run, its record, the error of each measure over the reference's size, the largest of them (None without), the
-    seconds that count, the parts of each by what they come from, and what the run changes of the reference."""
+    """A run, its record, the error of each measure over the reference's size (absolute for 0), the largest of them (None
+    without), the seconds that count, the parts of each by what they come from, and what the run changes of the
+    reference."""
 
     run: Run
     record: Record
@@ -139,7 +140,7 @@ def _measure(
         value = row.record.values.get(name)
         if value is None:
             continue
-        scale = abs(reference) or max(abs(r.record.values.get(name) or 0.0) for r in rows) or 1.0
+        scale = abs(reference) or 1.0
         row.errors[name] = abs(value - reference) / scale
         parts: dict[str, float] = {}
         for s in series:

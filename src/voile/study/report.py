@@ -237,16 +237,24 @@ def _rate_lines(findings: Findings) -> list[str]:
 
 def _advice(findings: Findings) -> list[str]:
     lines = []
-    for choice in findings.choices:
-        if choice.row is None:
-            lines.append(f"error {choice.accuracy:g}: no run reaches it")
+    for choices in _by_row(findings.choices):
+        row, accuracies = choices[0].row, ", ".join(f"{choice.accuracy:g}" for choice in choices)
+        if row is None:
+            lines.append(f"error {accuracies}: no run reaches it")
             continue
-        row, seconds = choice.row, choice.row.seconds or 0.0
-        lines.append(f"error {choice.accuracy:g}: {row.run.name} ({row.error:.1e} in {seconds:.2f} s)")
-        for name, value, other in choice.others:
+        seconds = row.seconds or 0.0
+        lines.append(f"error {accuracies}: {row.run.name} ({row.error:.1e} in {seconds:.2f} s)")
+        for name, value, other in choices[0].others:
             ratio = (other.seconds or 0.0) / max(seconds, 1e-9)
-            shown = plain(value)
             lines.append(
-                f"    {name} = {shown} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
+                f"    {name} = {plain(value)} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
             )
     return lines
+
+
+def _by_row(choices: list[Choice]) -> list[list[Choice]]:
+    """Choices that chose the same row together."""
+    found: dict[int, list[Choice]] = {}
+    for choice in choices:
+        found.setdefault(id(choice.row), []).append(choice)
+    return list(found.values())
