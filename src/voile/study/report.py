@@ -41,17 +41,8 @@ def header(findings: Findings) -> list[str]:
     columns = ["run", "status", "changes", *findings.rows[0].run.effective]
     columns += [m.name for m in names] + [f"error {m.name}" for m in names]
     columns += [f"{kind} error {m.name}" for m in names for kind in kinds]
-    columns += [
-        "error",
-        "front",
-        "seconds",
-        "wall_seconds",
-        "cpu_seconds",
-        "repeats",
-        "memory_mib",
-        "iterations",
-    ]
-    return [*columns, "dofs", "folder", "reason"]
+    columns += ["error", "trusted error", "front", "seconds", "wall_seconds", "cpu_seconds", "repeats"]
+    return [*columns, "memory_mib", "iterations", "dofs", "folder", "reason"]
 
 
 def _csv(findings: Findings, runs: Runs) -> str:
@@ -70,6 +61,7 @@ def _cells(findings: Findings, row: Row, runs: Runs) -> dict[str, Any]:
         "status": record.status,
         "changes": what_changes(findings, row),
         "error": _number(row.error),
+        "trusted error": _number(row.error if row.trusted is None else row.trusted),
         "front": "yes" if row.front else "",
         "seconds": _number(row.seconds, 4),
         "wall_seconds": _number(record.seconds, 4),
@@ -155,6 +147,7 @@ def _more(findings: Findings, row: Row) -> dict[str, Any]:
         "reason": row.record.reason,
         "values": row.record.values,
         "errors": row.errors,
+        "trusted_error": row.error if row.trusted is None else row.trusted,
         "parts": row.parts,
         "changes": row.changes,
         "changes_text": what_changes(findings, row),
