@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from voile.study.execute import CONVERGED, Record
 from voile.study.plan import Plan, Run, changed
 from voile.study.schema import Known
-from voile.study.series import ENDS, REFINE, SIZED, TIME_STEP, Series, ends, find_series, rate_to
+from voile.study.series import ENDS, REFINE, SIZED, TIME_STEP, Series, better, ends, find_series, rate_to
 from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, Settings, changes, told
 
 # As slow as another run, as far as clocks tell: within this factor, and s that starting a program takes more or less.
@@ -15,13 +15,15 @@ SAME = 1e-9  # of an error: another run's is the same
 
 @dataclass
 class Row:
-    """A run, its record, the error of each measure over the reference's size, the largest of them (None without), the
-    seconds that count, the parts of each by what they come from, and what the run changes of the reference."""
+    """A run and its record; the error of each measure over the reference's size (absolute for 0) and the largest of
+    them, None without; trusted: the largest of its own and of runs resolved better, as what grows then was small by
+    chance; the seconds that count; parts of errors by what they come from; what the run changes of the reference."""
 
     run: Run
     record: Record
     errors: dict[str, float] = field(default_factory=dict)
     error: float | None = None
+    trusted: float | None = None
     seconds: float | None = None
     parts: dict[str, dict[str, float]] = field(default_factory=dict)
     changes: dict[str, list[str]] = field(default_factory=dict)
@@ -84,6 +86,9 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     front = _front(rows)
     for row in front:
         row.front = True
+    for k, others in better(plan.runs, records).items():
+        errors = [error for j in (k, *others) if (error := rows[j].error) is not None]
+        rows[k].trusted = max(errors) if rows[k].error is not None else None
     choices = [_choice(accuracy, rows) for accuracy in plan.study.study.accuracy]
     return Findings(plan, rows, references, about, series, front, choices)
 
@@ -139,7 +144,7 @@ def _measure(
         value = row.record.values.get(name)
         if value is None:
             continue
-        scale = abs(reference) or max(abs(r.record.values.get(name) or 0.0) for r in rows) or 1.0
+        scale = abs(reference) or 1.0
         row.errors[name] = abs(value - reference) / scale
         parts: dict[str, float] = {}
         for s in series:
@@ -188,8 +193,12 @@ def _front(rows: list[Row]) -> list[Row]:
 
 
 def _choice(accuracy: float, rows: list[Row]) -> Choice:
-    """The most exact of the fastest rows that meet an accuracy, and its neighbours in one setting each."""
-    good = [(row, error, seconds) for row, error, seconds in _rated(rows) if error <= accuracy]
+    """The most exact of the fastest rows that meet an accuracy, not by chance, and its neighbours in one setting."""
+    good = [
+        (row, max(error, row.trusted or 0.0), seconds)
+        for row, error, seconds in _rated(rows)
+        if max(error, row.trusted or 0.0) <= accuracy
+    ]
     if not good:
         return Choice(accuracy, None)
     fastest = min(seconds for _, _, seconds in good)

@@ -47,18 +47,20 @@ def find_measures(
 ) -> tuple[Measure, ...]:
     """The study's, as far as its scene tells. Raises `refuse`'s error for one that no run produces."""
     points = {point.name: point for point in study.point}
-    surface = surface_of(scene)
+    surface, tasks = surface_of(scene), _tasks(study, scene)
+    touches = scene.obstacle or scene.contact.self_contact
+    touches = touches or any(name.startswith(("obstacle", "contact")) for name in study.names)
     for k, point in enumerate(study.point):
         at: KeyPath = ("point", k, "of")
-        if point.of == "velocity" and scene.scene.task != "dynamics":
+        if point.of == "velocity" and "dynamics" not in tasks:
             raise refuse(f'"velocity" with task = {scene.scene.task}; allowed with task = dynamics', at)
-        if point.of == "reaction" and not (scene.obstacle or scene.contact.self_contact):
+        if point.of == "reaction" and not touches:
             raise refuse('"reaction" of a scene without [[obstacle]] or self_contact; nothing is touched', at)
         try:
             _selected(surface, point)
         except InputError as error:
             raise refuse(str(error).partition("select: ")[2] or str(error), ("point", k, "select")) from None
-    known = FIGURES | OF_TASK[scene.scene.task]
+    known = FIGURES | {name: below for task in tasks for name, below in OF_TASK[task].items()}
     for name in study.study.measures:
         if name not in points and not _is_figure(name, known):
             allowed = [*points, DISPLACEMENT, *_dotted(known)]
@@ -66,6 +68,12 @@ def find_measures(
             hint = f' (did you mean "{close[0]}"?)' if close else ""
             raise refuse(f'no run has "{name}"{hint}; allowed: {", ".join(allowed)}', ("study", "measure"))
     return tuple(Measure(name, points.get(name)) for name in study.study.measures)
+
+
+def _tasks(study: Study, scene: Scene) -> list[str]:
+    """Tasks of the study's runs."""
+    varied = [*study.vary.get("scene.task", []), *(case.set.get("scene.task") for case in study.case)]
+    return [task for task in OF_TASK if task in (scene.scene.task, *varied)]
 
 
 def _is_figure(name: str, known: dict[str, tuple[str, ...] | None]) -> bool:
@@ -131,7 +139,7 @@ def figure(summary: dict, name: str) -> float | None:
 
 
 def _at_point(point: Point, surface: Surface, folder: Path) -> float:
-    """Mean over the selection; of reactions the sum."""
+    """Mean over the selection of a component or length; of reactions that of their sum."""
     chosen = _selected(surface, point)
     with read_result(folder) as result:
         x = result.points(-1)
@@ -142,11 +150,11 @@ def _at_point(point: Point, surface: Surface, folder: Path) -> float:
             "reaction": lambda: result.field("reaction"),
         }[point.of]()
     if point.of == "reaction":
-        vector = field[chosen].sum(axis=0)
+        field, weight = field[chosen].sum(axis=0, keepdims=True), np.ones(1)
     else:
         weight = mean_weights(surface, chosen, on_border="boundary" in point.select)
-        vector = weight @ field / weight.sum()
-    return float(np.linalg.norm(vector)) if point.axis == "norm" else float(vector["xyz".index(point.axis)])
+    part = np.linalg.norm(field, axis=1) if point.axis == "norm" else field[:, "xyz".index(point.axis)]
+    return float(weight @ part / weight.sum())
 
 
 def mean_weights(surface: Surface, chosen: np.ndarray, on_border: bool = False) -> np.ndarray:

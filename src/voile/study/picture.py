@@ -5,18 +5,20 @@ from typing import Any
 
 from voile.errors import InputError
 from voile.study.analysis import Findings, Row
+from voile.study.series import ENDS, SIZED
 from voile.study.settings import COST, changes
 
 INK, LINE = "#25303b", "#8a97a5"
 COLOURS = ("#2b6ca3", "#e58a3c", "#3d8f5f", "#8c1c2e", "#7a5ea8", "#5b6570", "#c2a21d", "#3aa5b5", "#b5589a")
 MARKS = "osD^vP*X"
-ORDERED = ("refine", "shell.mesh", "dynamics.time_step", "dynamics.iterations", "dynamics.tolerance")
+ORDERED = (*SIZED, *ENDS)
+CHANCE = 2.0  # times an error: what better resolved runs have, where it was small by chance
 LEAST = 1e-12  # an error drawn: nothing here is known to more
 
 
 def draw(findings: Findings, path: Path) -> None:
     """Draws the rows that have an error; those of one kind, that differ in meshes, time steps or where iterations end
-    only, in one colour. Raises InputError where the file cannot be written."""
+    only, in one colour; faint what is small by chance. Raises InputError where the file cannot be written."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -26,10 +28,13 @@ def draw(findings: Findings, path: Path) -> None:
     try:
         kinds = _kinds(findings)
         for k, (name, rows) in enumerate(kinds.items()):
-            axes.scatter(
-                [row.seconds for row in rows], [max(row.error or 0.0, LEAST) for row in rows], s=34,
-                color=COLOURS[k % len(COLOURS)], marker=MARKS[k // len(COLOURS) % len(MARKS)], label=name, zorder=3,
-            )  # fmt: skip
+            _draw_rows(
+                axes,
+                rows,
+                name,
+                color=COLOURS[k % len(COLOURS)],
+                marker=MARKS[k // len(COLOURS) % len(MARKS)],
+            )
         _draw_front(axes, findings)
         _dress(axes, findings, len(kinds))
         figure.savefig(path, dpi=150)
@@ -37,6 +42,15 @@ def draw(findings: Findings, path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         plt.close(figure)
+
+
+def _draw_rows(axes: Any, rows: list[Row], name: str, **style: Any) -> None:
+    """Their points; faint where the error is small by chance, as better resolved runs show."""
+    for chance in (False, True):
+        own = [row for row in rows if ((row.trusted or 0.0) > CHANCE * (row.error or 0.0)) == chance]
+        errors = [max(row.error or 0.0, LEAST) for row in own]
+        faint = {"alpha": 0.3} if chance else {"label": name}
+        axes.scatter([row.seconds for row in own], errors, s=34, zorder=3, **style, **faint)
 
 
 def _kinds(findings: Findings) -> dict[str, list[Row]]:
@@ -62,11 +76,7 @@ def _draw_front(axes: Any, findings: Findings) -> None:
         *zip(*front, strict=True), s=110, facecolors="none", edgecolors=INK, linewidths=1.2, zorder=4
     )
     for row, (seconds, error) in zip(findings.front, front, strict=True):
-        words = [
-            f"{n.rpartition('.')[2]} {row.run.effective[n]}"
-            for n in findings.varied
-            if n in ORDERED and n != "shell.mesh"
-        ]
+        words = [_short(n, row.run.effective[n]) for n in findings.varied if n in ORDERED]
         axes.annotate(
             ", ".join(words),
             (seconds, error),
@@ -75,6 +85,11 @@ def _draw_front(axes: Any, findings: Findings) -> None:
             fontsize=8,
             color=INK,
         )
+
+
+def _short(name: str, value: Any) -> str:
+    """A setting beside a point."""
+    return value.stem if isinstance(value, Path) else f"{name.rpartition('.')[2].replace('_', ' ')} {value}"
 
 
 def _plain(seconds: float, position: int) -> str:
@@ -90,15 +105,14 @@ def _dress(axes: Any, findings: Findings, kinds: int) -> None:
     for which in ("major", "minor"):
         getattr(axes.xaxis, f"set_{which}_formatter")(FuncFormatter(_plain))
     axes.set_xlabel("CPU seconds" if findings.plan.study.study.clock == "cpu" else "seconds", color=INK)
-    names = ", ".join(m.name.replace("_", " ") for m in findings.plan.measures)
-    axes.set_ylabel(f"relative error of {names}", color=INK)
+    measures = ", ".join(m.name.replace("_", " ") for m in findings.plan.measures)
+    axes.set_ylabel(f"relative error of {measures}", color=INK)
     for accuracy in findings.plan.study.study.accuracy:
         axes.axhline(accuracy, color=LINE, linewidth=0.7, linestyle=":")
     without = sum(row.error is None for row in findings.rows) - (findings.plan.reference is not None)
-    title = (
-        findings.plan.scene.stem
-        if not without
-        else f"{findings.plan.scene.stem} ({without} runs without an error)"
+    named = [run.scene.scene.name for run in findings.plan.runs if run.scene]
+    title = (named[0] or findings.plan.scene.stem) + (
+        f" ({without} runs without an error)" if without else ""
     )
     axes.set_title(title, loc="left", color=INK, fontsize=11)
     axes.grid(color=LINE, alpha=0.2, linewidth=0.6, which="both")

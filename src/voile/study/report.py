@@ -41,17 +41,8 @@ def header(findings: Findings) -> list[str]:
     columns = ["run", "status", "changes", *findings.rows[0].run.effective]
     columns += [m.name for m in names] + [f"error {m.name}" for m in names]
     columns += [f"{kind} error {m.name}" for m in names for kind in kinds]
-    columns += [
-        "error",
-        "front",
-        "seconds",
-        "wall_seconds",
-        "cpu_seconds",
-        "repeats",
-        "memory_mib",
-        "iterations",
-    ]
-    return [*columns, "dofs", "folder", "reason"]
+    columns += ["error", "trusted error", "front", "seconds", "wall_seconds", "cpu_seconds", "repeats"]
+    return [*columns, "memory_mib", "iterations", "dofs", "folder", "reason"]
 
 
 def _csv(findings: Findings, runs: Runs) -> str:
@@ -70,6 +61,7 @@ def _cells(findings: Findings, row: Row, runs: Runs) -> dict[str, Any]:
         "status": record.status,
         "changes": what_changes(findings, row),
         "error": _number(row.error),
+        "trusted error": _number(row.error if row.trusted is None else row.trusted),
         "front": "yes" if row.front else "",
         "seconds": _number(row.seconds, 4),
         "wall_seconds": _number(record.seconds, 4),
@@ -155,6 +147,7 @@ def _more(findings: Findings, row: Row) -> dict[str, Any]:
         "reason": row.record.reason,
         "values": row.record.values,
         "errors": row.errors,
+        "trusted_error": row.error if row.trusted is None else row.trusted,
         "parts": row.parts,
         "changes": row.changes,
         "changes_text": what_changes(findings, row),
@@ -237,16 +230,24 @@ def _rate_lines(findings: Findings) -> list[str]:
 
 def _advice(findings: Findings) -> list[str]:
     lines = []
-    for choice in findings.choices:
-        if choice.row is None:
-            lines.append(f"error {choice.accuracy:g}: no run reaches it")
+    for choices in _by_row(findings.choices):
+        row, accuracies = choices[0].row, ", ".join(f"{choice.accuracy:g}" for choice in choices)
+        if row is None:
+            lines.append(f"error {accuracies}: no run reaches it")
             continue
-        row, seconds = choice.row, choice.row.seconds or 0.0
-        lines.append(f"error {choice.accuracy:g}: {row.run.name} ({row.error:.1e} in {seconds:.2f} s)")
-        for name, value, other in choice.others:
+        seconds = row.seconds or 0.0
+        lines.append(f"error {accuracies}: {row.run.name} ({row.error:.1e} in {seconds:.2f} s)")
+        for name, value, other in choices[0].others:
             ratio = (other.seconds or 0.0) / max(seconds, 1e-9)
-            shown = plain(value)
             lines.append(
-                f"    {name} = {shown} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
+                f"    {name} = {plain(value)} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
             )
     return lines
+
+
+def _by_row(choices: list[Choice]) -> list[list[Choice]]:
+    """Choices that chose the same row together."""
+    found: dict[int, list[Choice]] = {}
+    for choice in choices:
+        found.setdefault(id(choice.row), []).append(choice)
+    return list(found.values())

@@ -141,7 +141,7 @@ class Point:
         "mean over the selected area, line or vertices; of reactions the sum",
         default="displacement",
     )
-    axis: str = key(Choice("x", "y", "z", "norm"), "component, or the vector's length", default="norm")
+    axis: str = key(Choice("x", "y", "z", "norm"), "component, or length", default="norm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +158,11 @@ class Study:
     point: tuple[Point, ...] = key(Tables(Point), "measures at selected vertices", default=())
     vary: dict[str, list] = key(Lists(), "settings of which every combination is run", default_factory=dict)
     case: tuple[Case, ...] = key(Tables(Case), "named combinations beside them", default=())
+
+    @property
+    def names(self) -> set[str]:
+        """The settings that it gives."""
+        return {*self.vary, *(name for case in self.case for name in case.set)}
 
     def check(self, given: set[str]) -> None:
         if not (self.vary or self.case):

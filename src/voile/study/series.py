@@ -106,6 +106,22 @@ def ends(runs: tuple[Run, ...], records: list[Record]) -> dict[int, int]:
     return found
 
 
+def better(runs: tuple[Run, ...], records: list[Record]) -> dict[int, set[int]]:
+    """Run -> those that differ in one setting only and are discretised finer or iterate further by it."""
+    found: dict[int, set[int]] = {}
+    for along in (*SIZED, *ENDS):
+        for group in siblings(runs, records, along):
+            grade = {
+                k: -float(runs[k].effective[along]) * (-1.0 if ENDS[along] else 1.0)
+                if along in ENDS
+                else -size(along, runs[k], records[k])
+                for k in group
+            }
+            for k in group:
+                found.setdefault(k, set()).update(other for other in group if grade[other] > grade[k])
+    return found
+
+
 def rate_to(reference: float, sizes: tuple[float, ...], values: tuple[float, ...]) -> float | None:
     """Rate at which the last two values come nearer to a reference; None where one is there."""
     errors = np.abs(np.array(values[-2:]) - reference)
