@@ -28,7 +28,7 @@ ALLOWED = {
     "post": {"results"},
 }
 # The command line and its helpers, the only ones that see everything.
-TOP = {"api", "cli", "commands", "explain", "tasks", "wiring"}
+TOP = {"api", "cli", "commands", "explain", "tasks", "validate", "wiring"}
 PETSC = {"problem", "solver", "inverse", "petsc_options"} | TOP
 
 

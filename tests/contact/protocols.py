@@ -7,8 +7,6 @@ from pathlib import Path as File
 
 import numpy as np
 from mesh_helpers import generator
-from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 from voile.contact.obstacles import Box, Cylinder, Motion, Obstacle, Plane, Sphere
 from voile.problem.contact import contact_fields, with_obstacles
@@ -282,31 +280,8 @@ def lowered_strip(friction: float, low: float, cells: int, steps: int) -> Slip:
     return Slip(path, held_on[-1][0], np.nan if gone is None else seen[gone][0], landed)
 
 
-def elastica_onset(friction: float) -> float:
-    """Lowering over length at which the tip slips, of a weightless inextensible strip.
-
-    The tip carries V and friction V, no moment: B theta'' = V (friction cos theta - sin theta) along the strip of
-    length 1 from the tip, theta from the vertical, theta'(0) = 0; the clamp stands upright above the tip: theta(1) = 0,
-    x(1) = x(0). Followed from the buckled column, tan k = k, where theta = friction (1 - cos(k s) / cos k)."""
-    k = 4.493409457909064
-
-    def end(unknowns, mu):
-        v, tip = unknowns
-
-        def slope(_, y):
-            return [y[1], v * (mu * np.cos(y[0]) - np.sin(y[0])), np.sin(y[0]), np.cos(y[0])]
-
-        return solve_ivp(slope, (0.0, 1.0), [tip, 0.0, 0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-12).y[:, -1]
-
-    found, last = np.array([k * k, 1.0 - 1.0 / np.cos(k)]), 1.0
-    for mu in np.linspace(0.0, friction, int(np.ceil(20.0 * friction)) + 2)[1:]:
-        start = [found[0], found[1] * mu / last]
-        found, last = root(lambda u, mu=mu: end(u, mu)[[0, 2]], start, tol=1e-12).x, mu
-    return float(1.0 - end(found, friction)[3])
-
-
 def slips() -> list[dict]:
-    """The same onsets, where the shared folder is."""
+    """The onsets that slip_onset gives, where the shared folder is."""
     return json.loads(CURVES.read_text())["stick_slip"] if CURVES.exists() else []
 
 

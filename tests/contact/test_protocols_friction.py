@@ -5,6 +5,7 @@ import protocols
 import pytest
 
 from voile.contact.obstacles import Motion, Plane
+from voile.validate.references.elastica import slip_onset
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.4, 1.5])
@@ -51,7 +52,7 @@ def test_capstan_turns_around(degrees, friction):
 @pytest.mark.skipif(not protocols.CURVES.exists(), reason=f"{protocols.CURVES} is not there")
 def test_elastica_onset():
     for row in protocols.slips():
-        assert protocols.elastica_onset(row["friction"]) == pytest.approx(row["lowering_at_slip"], rel=1e-5)
+        assert slip_onset(row["friction"]) == pytest.approx(row["lowering_at_slip"], rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +63,7 @@ def test_stick_slip(friction):
     """The elastica's onset of slip within 1 %; the strip snaps to a stable equilibrium.
 
     Beyond mu = 0.36 that curve dips below the plane, where the strip lies on it instead."""
-    expected = protocols.elastica_onset(friction)
+    expected = slip_onset(friction)
     slip = protocols.lowered_strip(friction, 1.06 * expected, 40, 25)
     assert slip.path.converged and slip.path.stable, slip.path.reason
     assert slip.before > 0.99 * expected and slip.after < 1.01 * expected

@@ -1,0 +1,144 @@
+"""Runs the scenes of protocols: a dict and arrays in, what a user's run leaves out.
+
+Scenes, meshes and results stay in the bench's folder, where `voile run` and `voile render` take them.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from voile.errors import InputError, NotConverged
+from voile.mesh import write_obj
+from voile.results import Result, prepare_output, read_result, read_summary
+from voile.results.history import read_history
+
+
+class Mesh(NamedTuple):
+    """points (n, 3) m, triangles (m, 3); groups: (m,) index and names."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    groups: tuple[np.ndarray, tuple[str, ...]] | None = None
+
+
+@dataclass
+class Outcome:
+    """What a run left in its folder."""
+
+    folder: Path
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        return read_summary(self.folder / "summary.json")
+
+    @cached_property
+    def result(self) -> Result:
+        return read_result(self.folder)
+
+    @cached_property
+    def history(self) -> dict[str, np.ndarray]:
+        return read_history(self.folder)
+
+    @property
+    def converged(self) -> bool:
+        return bool(self.summary["converged"])
+
+    def positions(self, step: int = -1) -> np.ndarray:
+        """(n, 3) m."""
+        return self.result.points(step)
+
+    @property
+    def displacements(self) -> np.ndarray:
+        """(n, 3) m, from the start to the end."""
+        return self.positions() - self.result.start
+
+
+@dataclass
+class Bench:
+    """folder: of one protocol; quick: smaller meshes, fewer points; change: alters each scene before it runs (tests
+    prove by it that a wrong number is noticed); notes: for the report."""
+
+    folder: Path
+    quick: bool = False
+    change: Callable[[dict[str, Any]], None] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    def run(self, name: str, scene: dict[str, Any]) -> Outcome:
+        """Runs a scene whose files may be given as `Mesh`. Raises NotConverged."""
+        outcome = self.attempt(name, scene)
+        if not outcome.converged:
+            raise NotConverged(f"{name}: {outcome.summary['reason']}")
+        return outcome
+
+    def attempt(self, name: str, scene: dict[str, Any]) -> Outcome:
+        """The same, of a scene that may be known not to reach its end."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        scene = {key: dict(table) if isinstance(table, dict) else table for key, table in scene.items()}
+        if self.change:
+            self.change(scene)
+        for key, value in scene["shell"].items():
+            if isinstance(value, Mesh):
+                file = f"{name}-{key}.obj"
+                write_obj(self.folder / file, value.points, value.triangles, groups=value.groups)
+                scene["shell"][key] = file
+        path, folder = self.folder / f"{name}.toml", self.folder / f"{name}-result"
+        path.write_text(toml(scene), encoding="utf-8")
+        solve(path, folder)
+        return Outcome(folder)
+
+
+def solve(path: Path, folder: Path) -> None:
+    """Runs a scene file in this process, silently; how it ended stands in its summary."""
+    began = time.perf_counter()
+    from voile.petsc_options import start_petsc
+
+    start_petsc([])
+    from mpi4py import MPI
+
+    from voile.scene import read_scene
+    from voile.tasks import Progress, Run
+    from voile.wiring import build_model
+
+    comm = MPI.COMM_WORLD
+    if comm.size > 1:
+        raise InputError(f"validate: {comm.size} ranks; allowed: one process")
+    scene = read_scene(path)
+    prepare_output(folder, comm)
+    progress = Progress(comm)
+    progress.quiet = True
+    job = Run(scene, build_model(scene), folder, comm, progress, began)
+    try:
+        import_module(f"voile.tasks.{scene.scene.task}").run(job)
+    except NotConverged as reason:
+        job.refuse(str(reason))
+
+
+# ---- scenes as text ----
+
+
+def toml(scene: dict[str, Any]) -> str:
+    """A scene's tables as a TOML file."""
+    parts = []
+    for name, table in scene.items():
+        for each in table if isinstance(table, list) else [table]:
+            heading = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
+            parts += [heading, *(f"{key} = {_value(value)}" for key, value in each.items()), ""]
+    return "\n".join(parts)
+
+
+def _value(value: Any) -> str:
+    """TOML text of a value; tables within a table on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_value(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, np.ndarray | np.generic):
+        return _value(value.tolist())
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return json.dumps(value)

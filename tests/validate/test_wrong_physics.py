@@ -1,0 +1,33 @@
+"""A material or law that is 1 % off makes its protocols miss their bounds."""
+
+import pytest
+
+from voile.validate import Bench, all_protocols, perform
+
+
+def scaled(table: str, key: str, factor: float):
+    """Alters scenes: a key of a table, or of each of an array of tables, times a factor."""
+
+    def change(scene):
+        for each in scene[table] if isinstance(scene[table], list) else [scene[table]]:
+            each[key] = factor * each[key]
+
+    return change
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+@pytest.mark.parametrize(
+    ("name", "table", "key"),
+    [
+        ("cantilever", "shell", "young"),
+        ("end-shear", "shell", "young"),
+        ("end-moment", "shell", "young"),
+        ("cantilever", "shell", "density"),
+        ("lifted-strip", "shell", "density"),
+        ("incline", "obstacle", "friction"),
+    ],
+)
+def test_one_per_cent_is_noticed(name, table, key, factor, tmp_path):
+    verdict = perform(all_protocols()[name], Bench(tmp_path, quick=True, change=scaled(table, key, factor)))
+    assert not verdict.failure
+    assert [check for check in verdict.checks if not check.passed]
