@@ -18,8 +18,9 @@ def run(bench):
     value = {value}
     return Findings([close("two", value, 2.0, 0.1)], Plot("x", "y", [Curve("line", [0, 1], [0, value])]))
 """
-# CPU seconds of the quick ones are in docs/validation.md; those that take more than a few run with the slow tests.
-LONG: set[str] = set()
+# Whose quick form takes more than two CPU seconds on a quiet machine: they run with the slow tests.
+LONG = {"bouncing-bar", "cantilever", "friction-pad", "rotating-sphere", "sliding-sheet", "stick-slip"}
+QUICK = 20.0  # CPU seconds: twice what a quiet machine may take, which beside other programs is not much
 
 
 def each(name: str):
@@ -31,7 +32,7 @@ def test_a_quick_protocol_holds(name, tmp_path):
     verdict = perform(all_protocols()[name], Bench(tmp_path, quick=True))
     assert not verdict.failure
     assert not [check for check in verdict.checks if not check.passed]
-    assert verdict.checks and verdict.plot and verdict.seconds < 10.0
+    assert verdict.checks and verdict.plot and verdict.seconds < QUICK
 
 
 @pytest.mark.slow
@@ -77,7 +78,7 @@ def test_a_list_names_all(capsys):
 def test_an_unknown_name_is_told_with_those_there_are(capsys, tmp_path):
     assert main(["validate", "cantilever", "cantilver", "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "'cantilver'" in said and "cantilever, catenary, " in said
+    assert "'cantilver'" in said and "cantilever, capstan, " in said
     assert not (tmp_path / "out").exists()
 
 

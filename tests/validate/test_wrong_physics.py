@@ -15,17 +15,26 @@ def scaled(table: str, key: str, factor: float):
     return change
 
 
+SHORT = [
+    ("end-shear", "shell", "young"),
+    ("end-moment", "shell", "young"),
+    ("lifted-strip", "shell", "density"),
+    ("incline", "obstacle", "friction"),
+    ("capstan", "obstacle", "friction"),
+]
+LONG = [
+    ("cantilever", "shell", "young"),
+    ("cantilever", "shell", "density"),
+    ("falling-plate", "obstacle", "friction"),
+    ("sliding-sheet", "obstacle", "friction"),
+    ("stick-slip", "obstacle", "friction"),
+    ("friction-pad", "obstacle", "friction"),
+]
+
+
 @pytest.mark.parametrize("factor", [0.99, 1.01])
 @pytest.mark.parametrize(
-    ("name", "table", "key"),
-    [
-        ("cantilever", "shell", "young"),
-        ("end-shear", "shell", "young"),
-        ("end-moment", "shell", "young"),
-        ("cantilever", "shell", "density"),
-        ("lifted-strip", "shell", "density"),
-        ("incline", "obstacle", "friction"),
-    ],
+    ("name", "table", "key"), [*SHORT, *(pytest.param(*case, marks=pytest.mark.slow) for case in LONG)]
 )
 def test_one_per_cent_is_noticed(name, table, key, factor, tmp_path):
     verdict = perform(all_protocols()[name], Bench(tmp_path, quick=True, change=scaled(table, key, factor)))

@@ -53,7 +53,7 @@ def run(bench: Bench) -> Findings:
         checks.append(small("largest reaction times gap, over weight times length", waste, 1e-12))
         s = np.linspace(0.0, 1.0, 201)
         free = np.clip(1.0 - s / exact, 0.0, None)
-        curves.append(Curve(f"beam, {height:g} L", s, height * (4.0 * free**3 - 3.0 * free**4)))
+        curves.append(Curve(f"beam, {height:g} L", s, height * (2.0 * free**3 - free**4)))
         line = np.abs(x[:, 1] - x[:, 1].mean()) < CLAMP
         curves.append(Curve("strip", x[line, 0], x[line, 2], points=True))
     return Findings(checks, Plot("x / L", "z / L", curves))
