@@ -9,35 +9,24 @@ from functools import partial
 
 import numpy as np
 from mpi4py import MPI
-from shells import Row, make, mapped, only, row
+from shells import Row, of_case, row
 
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, require
 from voile.solver.statics import solve_statics
+from voile.validate import shells as cases
 
-SIDE, HEIGHT = 0.8485, 0.217
+HEIGHT = 0.217
 MESHES = (8, 16, 32)
 
 
 def airbag(n: int, model: str, material: str, diagonals: str = "crossed") -> tuple[Shell, int]:
     """A quarter of n x n cells on its planes of symmetry, its outer edges free to slide in the plane z = 0; centre."""
-    u, v, triangles, side = mapped(n, n, diagonals)
-    points = 0.5 * SIDE * np.column_stack([u, v, np.zeros(len(u))])
-    fixed = np.column_stack([side["u0"], side["v0"], side["u1"] | side["v1"]])
-    shell = make(
-        points,
-        triangles,
-        fixed,
-        [side["u0"], side["v0"]] if model == "koiter" else [],
-        thickness=6e-4,
-        young=588e6,
-        poisson=0.4,
-        model=model,
-        material=material,
-        pressure=5e3,
-    )
-    return shell, only(side["u0"] & side["v0"])
+    case = cases.airbag(n, diagonals)
+    if model != "koiter":
+        case.clamped = []
+    return of_case(case, model=model, material=material, pressure=5e3), case.marks["centre"]
 
 
 def inflate(n: int, model: str, material: str, diagonals: str = "crossed") -> tuple[float, float, Path]:

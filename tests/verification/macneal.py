@@ -9,65 +9,38 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from shells import Row, line_force, make, mapped, only, pinched_hemisphere, row, solve
+from shells import Row, of_case, row, solve
 from splines import Mapping, Patch
 from splines import solve as solve_patch
 
-from voile.problem.shell import Shell, area_vectors
+from voile.problem.shell import Shell
+from voile.validate import shells as cases
+from voile.validate.shells import BEAM
 
-BEAM = {0.32: 1.0, 0.0032: 1e-6}  # thickness -> published load
 X, Y, Z = np.eye(3)
 Built = tuple[Shell, int, int]
 
 
 def twisted_beam(thickness: float, axis: int, along: int, across: int, factor: float) -> Built:
-    """Clamped at x = 0, twisted by 90 degrees to its tip, with a force along the tip's width (axis 2, in plane) or its
-    normal (axis 1, out of plane)."""
-    u, v, triangles, side = mapped(along, across, "crossed")
-    turn, place = 0.5 * np.pi * u, 1.1 * (v - 0.5)
-    points = np.column_stack([12.0 * u, place * np.cos(turn), place * np.sin(turn)])
-    points[side["u1"], 1] = 0.0
-    force = line_force(points, side["u1"], factor * BEAM[thickness] * np.eye(3)[axis])
-    fabric = {"thickness": thickness, "young": 29e6, "poisson": 0.22}
-    shell = make(points, triangles, side["u0"], [side["u0"]], force=force, **fabric)
-    return shell, only(side["u1"] & (np.abs(v - 0.5) < 1e-9)), axis
+    """Its tip under a force in plane (axis 2) or out of plane (axis 1)."""
+    case = cases.twisted_beam(thickness, axis, along, across)
+    return of_case(case, factor), case.marks["tip"], axis
 
 
 def pinched_cylinder(around: int, along: int, factor: float) -> Built:
-    """An eighth of the cylinder: its ends on diaphragms, half-way a pair of opposite unit forces."""
-    u, v, triangles, side = mapped(around, along, "crossed")
-    angle = 0.5 * np.pi * u
-    points = np.column_stack([300.0 * np.cos(angle), 300.0 * np.sin(angle), 300.0 * v])
-    points[side["u1"], 0] = 0.0
-    fixed = np.column_stack([side["u1"] | side["v1"], side["u0"] | side["v1"], side["v0"]])
-    pinched = only(side["u0"] & side["v0"])
-    force = np.zeros_like(points)
-    force[pinched, 0] = -0.25 * factor
-    planes = [side["u0"], side["u1"], side["v0"]]
-    shell = make(points, triangles, fixed, planes, thickness=3.0, young=3e6, poisson=0.3, force=force)
-    return shell, pinched, 0
+    case = cases.pinched_cylinder(around, along)
+    return of_case(case, factor), case.marks["pinched"], 0
 
 
 def roof(around: int, along: int, factor: float) -> Built:
-    """A quarter of Scordelis and Lo's roof under 90 per area, its ends on diaphragms; the middle of the free edge."""
-    u, v, triangles, side = mapped(around, along, "crossed")
-    angle = np.radians(40.0) * u
-    points = np.column_stack([25.0 * np.sin(angle), 25.0 * v, 25.0 * np.cos(angle)])
-    fixed = np.column_stack([side["u0"] | side["v1"], side["v0"], side["v1"]])
-    third = np.linalg.norm(area_vectors(points, triangles), axis=1) / 6.0
-    area = np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
-    fabric = {"thickness": 0.25, "young": 4.32e8, "poisson": 0.0}
-    force = area[:, None] * (-90.0 * factor * Z)
-    shell = make(points, triangles, fixed, [side["u0"], side["v0"]], force=force, **fabric)
-    return shell, only(side["u1"] & side["v0"]), 2
+    case = cases.roof(around, along)
+    return of_case(case, factor), case.marks["edge"], 2
 
 
 def hemisphere(around: int, up: int, factor: float) -> Built:
     """A quarter of the hemisphere with a hole of 18 degrees, pulled and pushed by forces of 2 on the whole."""
-    shell, pulled, _ = pinched_hemisphere(around, up, "crossed")
-    assert shell.force is not None
-    shell.force *= factor / np.abs(shell.force).max()
-    return shell, pulled, 0
+    case = cases.pinched_hemisphere(around, up, "crossed")
+    return of_case(case, factor / np.abs(case.force).max()), case.marks["pulled"], 0
 
 
 # ---- limits ----

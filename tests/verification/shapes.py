@@ -8,13 +8,13 @@ import numpy as np
 from mpi4py import MPI
 from scipy.integrate import trapezoid
 from scipy.optimize import brentq
-from shells import Row, line_force, make, mapped, row, solve
+from shells import Row, make, row, solve
 
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.linear import factored
-
-YOUNG, DENSITY = 1e6, 1000.0  # Pa; kg/m^3 as `make` sets it
+from voile.validate.shapes import DENSITY, YOUNG, rigidity, shared_by_length
+from voile.validate.shells import mapped
 
 # Heavy strip clamped horizontally: drop over reach of the tip by gamma = rho g h L^3 / B; and the dead tip force
 # alpha = P L^2 / (B b): shortening and deflection over L. Elasticas solved to 1e-8 as boundary value problems of
@@ -45,17 +45,12 @@ SUPPORTED, CLAMPED = (
 LATERAL = 12.85  # Timoshenko & Gere 1961, 6.3: (w L) L^2 / sqrt(E I G J) of a cantilever under its own weight
 
 
-def rigidity(thickness: float, young: float = YOUNG, poisson: float = 0.0) -> float:
-    """Bending stiffness B of a plate (N m)."""
-    return young * thickness**3 / (12.0 * (1.0 - poisson**2))
-
-
 def strip(nx: int, ny: int, width: float = 0.05, thickness: float = 1e-3, uniform: float = 1.0, **given):
     """Strip and the mask of its tip; cells near the clamp are `uniform` times the mean length."""
     u, v, triangles, side = mapped(nx, ny, "alternating")
     points = np.column_stack([u * (uniform + (1.0 - uniform) * u), width * v, np.zeros(len(u))])
     given = {"young": YOUNG, "poisson": 0.0, "thickness": thickness, **given}
-    return make(points, triangles, side["u0"], [side["u0"]], **given), side["u1"]
+    return make(points, triangles, side.u0, [side.u0], **given), side.u1
 
 
 def heavy_strip(gamma: float, nx: int, ny: int, bending: str = "tan") -> tuple[Shell, np.ndarray]:
@@ -67,7 +62,7 @@ def heavy_strip(gamma: float, nx: int, ny: int, bending: str = "tan") -> tuple[S
 def sheared_strip(alpha: float, nx: int, ny: int, width: float = 0.05) -> tuple[Shell, np.ndarray]:
     """Cantilever under a dead force across its tip."""
     shell, tip = strip(nx, ny, width)
-    shell.force = line_force(shell.points, tip, np.array([0.0, 0.0, alpha * rigidity(1e-3) * width]))
+    shell.force = shared_by_length(shell.points, tip, np.array([0.0, 0.0, alpha * rigidity(1e-3) * width]))
     return shell, tip
 
 
@@ -142,7 +137,7 @@ def buckling_load(height: float, nx: int, ny: int) -> float:
 def square_plate(n: int, clamped: bool, diagonals: str = "crossed") -> tuple[Shell, int, float]:
     """Unit plate under its weight, its rim supported; the centre, and q a^4 / D. Sags by a thousandth of h = 0.01."""
     u, v, triangles, side = mapped(n, n, diagonals)
-    rim = np.any(list(side.values()), axis=0)
+    rim = np.any(list(side), axis=0)
     points = np.column_stack([u, v, np.zeros(len(u))])
     scale = 1e-5 / (CLAMPED if clamped else SUPPORTED)
     pressure = scale * rigidity(0.01, poisson=0.3)
@@ -150,7 +145,7 @@ def square_plate(n: int, clamped: bool, diagonals: str = "crossed") -> tuple[She
         points,
         triangles,
         rim,
-        list(side.values()) if clamped else [],
+        list(side) if clamped else [],
         thickness=0.01,
         young=YOUNG,
         poisson=0.3,
@@ -164,14 +159,14 @@ def long_plate(nx: int, thickness: float, load: float) -> tuple[Shell, int]:
     load = q / (D h) (1/m^4); and its middle. FvK theory knows no other parameter for sag over thickness."""
     u, v, triangles, side = mapped(nx, 2, "alternating")
     points = np.column_stack([u, 2.0 * v / nx, np.zeros(len(u))])
-    ends, sides = side["u0"] | side["u1"], side["v0"] | side["v1"]
+    ends, sides = side.u0 | side.u1, side.v0 | side.v1
     fixed = np.column_stack([ends, ends | sides, ends])
     pressure = load * rigidity(thickness, poisson=0.3) * thickness
     shell = make(
         points,
         triangles,
         fixed,
-        list(side.values()),
+        list(side),
         thickness=thickness,
         young=YOUNG,
         poisson=0.3,

@@ -15,6 +15,9 @@ from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.solver.path import Path, StaticsOptions, require
 from voile.solver.statics import solve_statics
+from voile.validate import shells as cases
+from voile.validate.shapes import shared_by_length
+from voile.validate.shells import Case, only
 
 
 class Row(NamedTuple):
@@ -85,44 +88,25 @@ def make(
     return shell
 
 
-def mapped(
-    nu: int, nv: int, diagonals: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """u, v (n,) in [0, 1], triangles, and masks of the four sides u0, u1, v0, v1 of a grid."""
-    uv, triangles = generator("patterns").grid(nu, nv, diagonals)
-    u, v = uv.T
-    return u, v, triangles, {"u0": u < 1e-9, "u1": u > 1 - 1e-9, "v0": v < 1e-9, "v1": v > 1 - 1e-9}
-
-
-def only(mask: np.ndarray) -> int:
-    (vertex,) = np.flatnonzero(mask)
-    return int(vertex)
-
-
-def line_force(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """(n, 3) dead forces of a total (3,) spread evenly by length over a straight line of vertices along an axis."""
-    at = np.flatnonzero(line)
-    place = points[at, np.ptp(points[at], axis=0).argmax()]
-    at, place = at[np.argsort(place)], np.sort(place)
-    share = np.zeros(len(points))
-    share[at[:-1]] += 0.5 * np.diff(place)
-    share[at[1:]] += 0.5 * np.diff(place)
-    return share[:, None] / np.ptp(place) * total
+def of_case(case: Case, load: float = 1.0, **given) -> Shell:
+    """The Shell of a case under `load` times its forces; given: what differs."""
+    fabric = {name: case.material[name] for name in ("thickness", "young", "poisson")}
+    force = load * case.force if case.force.any() else None
+    given = {"force": force, **fabric, **given}
+    return make(case.mesh.points, case.mesh.triangles, case.fixed, case.clamped, **given)
 
 
 def slit_annulus(radial: int, around: int, diagonals: str = "crossed", load: float = 1.0):
-    """Shell, inner and outer vertex of the loaded lip; line force 0.8 per length times `load`, other lip clamped."""
-    u, v, triangles, side = mapped(radial, around, diagonals)
-    radius, angle = 6.0 + 4.0 * u, 2.0 * np.pi * v
-    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(len(u))])
-    return lifted_lip(points, triangles, side["v0"], side["v1"], load=load)
+    """Shell, inner and outer vertex of the loaded lip."""
+    case = cases.slit_annulus(radial, around, diagonals)
+    return of_case(case, load), case.marks["inner"], case.marks["outer"]
 
 
 def lifted_lip(points, triangles, loaded, clamped, bending: str = "tan", load: float = 1.0):
     """The annular plate with its force along one lip; shell, inner and outer vertex of that lip."""
     lip = np.flatnonzero(loaded)
     lip = lip[np.argsort(points[lip, 0])]
-    force = line_force(points, loaded, np.array([0.0, 0.0, 0.8 * 4.0 * load]))
+    force = shared_by_length(points, loaded, np.array([0.0, 0.0, 0.8 * 4.0 * load]))
     fabric = {"thickness": 0.03, "young": 21e6, "poisson": 0.0}
     shell = make(points, triangles, clamped, [clamped], bending=bending, force=force, **fabric)
     return shell, lip[0], lip[-1]
@@ -139,45 +123,14 @@ def irregular_annulus(size: float, bending: str):
 
 def pulled_cylinder(around: int, along: int, diagonals: str = "right", load: float = 1.0):
     """Shell (an eighth) and its points A under the force, B at 90 degrees, C at the free end above B."""
-    u, v, triangles, side = mapped(around, along, diagonals)
-    angle, radius = 0.5 * np.pi * u, 4.953
-    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.5 * 10.35 * v])
-    points[side["u1"], 0] = 0.0
-    fixed = np.column_stack([side["u1"], side["u0"], side["v0"]])
-    a, b, c = only(side["u0"] & side["v0"]), only(side["u1"] & side["v0"]), only(side["u1"] & side["v1"])
-    force = np.zeros_like(points)
-    force[a, 0] = 40000.0 / 4.0 * load
-    planes = [side["u0"], side["u1"], side["v0"]]
-    shell = make(points, triangles, fixed, planes, thickness=0.094, young=10.5e6, poisson=0.3125, force=force)
-    return shell, a, b, c
+    case = cases.pulled_cylinder(around, along, diagonals)
+    return of_case(case, load), *case.marks.values()
 
 
 def pinched_hemisphere(around: int, up: int, diagonals: str = "right", bending: str = "tan"):
     """Shell (a quarter) and the vertices pulled outward (x axis) and pushed inward (y axis)."""
-    u, v, triangles, side = mapped(around, up, diagonals)
-    polar, angle = np.radians(90.0 - 72.0 * v), 0.5 * np.pi * u
-    points = 10.0 * np.column_stack(
-        [np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)]
-    )
-    points[side["u1"], 0] = 0.0
-    fixed = np.column_stack([side["u1"], side["u0"], np.zeros(len(u), dtype=bool)])
-    pulled, pushed = only(side["u0"] & side["v0"]), only(side["u1"] & side["v0"])
-    fixed[pulled, 2] = True  # against sliding up as a whole
-    force = np.zeros_like(points)
-    force[pulled, 0], force[pushed, 1] = 200.0, -200.0
-    planes = [side["u0"], side["u1"]]
-    shell = make(
-        points,
-        triangles,
-        fixed,
-        planes,
-        thickness=0.04,
-        young=6.825e7,
-        poisson=0.3,
-        bending=bending,
-        force=force,
-    )
-    return shell, pulled, pushed
+    case = cases.pinched_hemisphere(around, up, diagonals)
+    return of_case(case, bending=bending), *case.marks.values()
 
 
 def sphere_octant(n: int, thickness: float, pressure: float, model: str, material: str):

@@ -35,10 +35,14 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _perform(chosen, args: argparse.Namespace) -> None:
+    from mpi4py import MPI
+
     from voile.results.summary import write_summary
     from voile.tasks.run import versions
     from voile.validate import Bench, perform, report
 
+    if MPI.COMM_WORLD.size > 1:
+        raise InputError(f"validate: {MPI.COMM_WORLD.size} ranks; allowed: one process")
     try:
         args.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -4,19 +4,19 @@ Scenes, meshes and results stay in the bench's folder, where `voile run` and `vo
 """
 
 import json
-import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from voile.errors import InputError, NotConverged
+import voile
+from voile.errors import NotConverged
 from voile.mesh import write_obj
-from voile.results import Result, prepare_output, read_result, read_summary
+from voile.results import Result, read_result, read_summary
 from voile.results.history import read_history
 
 
@@ -95,29 +95,9 @@ class Bench:
 
 
 def solve(path: Path, folder: Path) -> None:
-    """Runs a scene file in this process, silently; how it ended stands in its summary."""
-    began = time.perf_counter()
-    from voile.petsc_options import start_petsc
-
-    start_petsc([])
-    from mpi4py import MPI
-
-    from voile.scene import read_scene
-    from voile.tasks import Progress, Run
-    from voile.wiring import build_model
-
-    comm = MPI.COMM_WORLD
-    if comm.size > 1:
-        raise InputError(f"validate: {comm.size} ranks; allowed: one process")
-    scene = read_scene(path)
-    prepare_output(folder, comm)
-    progress = Progress(comm)
-    progress.quiet = True
-    job = Run(scene, build_model(scene), folder, comm, progress, began)
-    try:
-        import_module(f"voile.tasks.{scene.scene.task}").run(job)
-    except NotConverged as reason:
-        job.refuse(str(reason))
+    """Runs a scene file as a user does; how it ended stands in its summary."""
+    with suppress(NotConverged):
+        voile.run(path, folder)
 
 
 # ---- scenes as text ----

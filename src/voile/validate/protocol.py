@@ -54,7 +54,7 @@ def small(quantity: str, value: float, bound: float) -> Check:
     return Check(quantity, float(value), 0.0, bound, absolute=True)
 
 
-def order(quantity: str, errors: Sequence[float], low: float, high: float) -> Check:
+def order(quantity: str, errors: Sequence[float] | np.ndarray, low: float, high: float) -> Check:
     """The order of convergence seen on the last two of meshes that halve their cells."""
     return within(f"order of {quantity}", math.log2(abs(errors[-2] / errors[-1])), low, high)
 

@@ -11,7 +11,7 @@ from voile.post.render import INK, LINE
 from voile.validate.protocol import Check, Plot, Verdict
 
 COLUMNS = ("protocol", "quantity", "value", "reference", "deviation", "bound", "pass")
-WIDTHS = (16, 62, 12, 12, 10, 9, 4)
+WIDTHS = (20, 62, 12, 12, 10, 9, 4)
 
 
 def heading() -> str:

@@ -45,16 +45,21 @@ def fabric(thickness: float, young: float = YOUNG, poisson: float = 0.0, density
     return {"thickness": thickness, "young": young, "poisson": poisson, "density": density}
 
 
-def line_forces(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> list[dict[str, Any]]:
-    """Dead forces of a total (3,) spread by length over a straight line of vertices along an axis."""
+def shared_by_length(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """(n, 3) dead forces of a total (3,) spread evenly by length over a straight line of vertices along an axis."""
     at = np.flatnonzero(line)
     place = points[at, np.ptp(points[at], axis=0).argmax()]
     at, place = at[np.argsort(place)], np.sort(place)
-    share = np.zeros(len(at))
-    share[:-1] += 0.5 * np.diff(place)
-    share[1:] += 0.5 * np.diff(place)
-    share /= np.ptp(place)
+    share = np.zeros(len(points))
+    share[at[:-1]] += 0.5 * np.diff(place)
+    share[at[1:]] += 0.5 * np.diff(place)
+    return share[:, None] / np.ptp(place) * total
+
+
+def line_forces(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> list[dict[str, Any]]:
+    """The same as [[loads.force]] tables."""
+    force = shared_by_length(points, line, total)
     return [
-        {"select": {"nodes": [int(vertex)]}, "value": (part * np.asarray(total)).tolist()}
-        for vertex, part in zip(at, share, strict=True)
+        {"select": {"nodes": [int(vertex)]}, "value": force[vertex].tolist()}
+        for vertex in np.flatnonzero(line)
     ]
