@@ -110,7 +110,10 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     assert scene.fix == scene.fabric == scene.obstacle == scene.loads.force == scene.loads.moment == ()
     assert scene.contact.offset is None and scene.contact.self_contact is False
     steps = None  # 10, or 1 on what is still
-    assert dataclasses.astuple(scene.statics) == (steps, 1000, 1.0, 1e-8, True, False, True, ())
+    assert dataclasses.astuple(scene.statics) == (
+        *(steps, 1000, 1.0, 1e-8, True, False, True, ()),
+        *("load", 1.0, 0),
+    )
     assert dataclasses.astuple(scene.dynamics) == (
         *("implicit-euler", 0.01, 1.0),
         *("newton", 1e-6, 20, False, 1e-3, 0.8, 1.0, (0.0, 0.0), 0.0),

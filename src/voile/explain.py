@@ -146,6 +146,10 @@ def _solver(scene: Scene, model: Model) -> str:
     search = _modes(scene) if scene.scene.task == "modes" else ""
     if scene.scene.task == "inverse":
         search = f"Gauss-Newton in {', '.join(scene.inverse.estimate)}, whose simulations are: "
+    if scene.statics.control == "arc-length":
+        branch = f", onto the branch at bifurcation {scene.statics.branch}" if scene.statics.branch else ""
+        end = f"to load factor {scene.statics.max_load_factor:g}{branch}"
+        return f"arc length with mixed Newton steps {end}, MUMPS LDL^T"
     if not (model.obstacles or scene.contact.self_contact):
         return f"{search}Newton (mixed steps, then descent on the potential), MUMPS LDL^T"
     ways = "semismooth Newton (then augmented Lagrangian, then pseudo-time)"
@@ -159,6 +163,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
     against = {
         f"task = {scene.scene.task!r}": scene.scene.task not in ("statics", "modes"),
         "statics.nested is false": not statics.nested,
+        "control is arc-length": statics.control == "arc-length",
         "statics.load_steps is given": statics.load_steps is not None,
         "statics.load_factors is given": bool(statics.load_factors),
         "supports or obstacles move": moves,

@@ -23,6 +23,7 @@ UNITS = {
     "tolerance": "N",
     "max_penetration": "m",
     "max_displacement": "m",
+    "load_displacement": "m",
     "contact_force": "N",
 }
 POTENTIALS = (

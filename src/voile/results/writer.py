@@ -12,6 +12,9 @@ holes and take no disk space.
 VTK copies all of Steps/Values into an array of NSteps numbers, so Values must never be longer than NSteps: it
 grows just after. A kill between these two writes leaves VTK with the time 0 for the last step; `read_result`
 takes the times from its own copy, written before the commit.
+
+VTK looks for a step by its time, so these must grow. Along the arc of a path, where load factors also fall, they are
+the steps' numbers; the own copy has the load factors.
 """
 
 from __future__ import annotations
@@ -85,8 +88,9 @@ class ResultWriter:
     mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was
     built with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the
     latter. A result already at `path` stays until the first step is complete; it and its summary are then
-    kept as `*.previous.*`. goes_on: the value after which a result at `path` of the same scene goes on. A
-    writer is a context manager; after a crash the file holds the last complete step.
+    kept as `*.previous.*`. goes_on: the value after which a result at `path` of the same scene goes on;
+    numbered: times for VTK are the steps' numbers. A writer is a context manager; after a crash the file
+    holds the last complete step.
     """
 
     def __init__(
@@ -99,8 +103,9 @@ class ResultWriter:
         versions: Mapping[str, str] | None = None,
         gather: bool = False,
         goes_on: float | None = None,
+        numbered: bool = False,
     ):
-        self.path, self.comm, self.steps = Path(path), comm, 0
+        self.path, self.comm, self.steps, self.numbered = Path(path), comm, 0, numbered
         self._scene_text, self._versions = scene_text, dict(versions or {})
         self._h5py = import_h5py(comm)
         gather = gather or os.environ.get("VOILE_GATHER", "") not in ("", "0")
@@ -245,7 +250,7 @@ class ResultWriter:
             self._file.flush()
             self._file[VALUES].resize((self.steps,))
             if self.comm.rank == 0:
-                self._file[VALUES][self.steps - 1] = value
+                self._file[VALUES][self.steps - 1] = self.steps if self.numbered else value
             self._file.flush()
         if self.steps == 1:
             on_root(self.comm, self._publish)
@@ -273,7 +278,7 @@ class ResultWriter:
                         _copy_rows(old[path], new[path], self.steps * entry.rows)
                     new[STEPS].attrs.modify("NSteps", np.int64(self.steps))
                     new[VALUES].resize((self.steps,))
-                    new[VALUES][:] = old[OWN_VALUES][: self.steps]
+                    new[VALUES][:] = old[VALUES][: self.steps]
             os.replace(self._part, self.path)
 
         on_root(self.comm, copy)

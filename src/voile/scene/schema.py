@@ -224,6 +224,8 @@ class Scene:
                     raise Rejected("allowed with task = dynamics", ("obstacle", index, "frames"))
         if self.scene.task == "modes":
             self._check_modes(given)
+        if self.statics.control == "arc-length":
+            self._check_arc_length()
         rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
         if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
             raise Rejected(
@@ -296,6 +298,19 @@ class Scene:
             given = [name for name in WOVEN if getattr(table, name) not in (None, "")]
             if given and not woven:
                 raise Rejected('allowed with shell.material = "orthotropic"', (*path, given[0]))
+
+    def _check_arc_length(self) -> None:
+        if self.scene.task != "statics":
+            raise Rejected('"arc-length" is allowed with task = "statics" only', ("statics", "control"))
+        moving = [index for index, fix in enumerate(self.fix) if fix.move]
+        if moving:
+            raise Rejected(
+                'allowed with statics.control = "arc-length": supports that do not move',
+                ("fix", moving[0], "move"),
+            )
+        if self.obstacle or self.contact.self_contact:
+            where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
+            raise Rejected('allowed with statics.control = "arc-length": no contact', where)
 
     def _check_estimate(self) -> None:
         if not self.inverse.also:

@@ -49,6 +49,20 @@ class Statics:
         "prescribed ends of load steps, ascending, the last one 1; a step that fails is still cut",
         default=(),
     )
+    control: str = key(
+        Choice("load", "arc-length"),
+        "what leads the path; arc-length: its arc, through limit points, while the load factor rises and falls",
+        default="load",
+    )
+    max_load_factor: float = key(
+        Number(above=0), "arc-length: the path ends where the load factor is this, or minus this", default=1.0
+    )
+    branch: int = key(
+        Integer(0),
+        "arc-length: leaves the path at this bifurcation, counted from 1, onto the branch that meets it there; 0: at "
+        "none",
+        default=0,
+    )
 
     def check(self, given: set[str]) -> None:
         factors = self.load_factors
@@ -59,6 +73,11 @@ class Statics:
             raise Rejected(f"ends at {factors[-1]:g}; allowed: the last one 1", ("load_factors",))
         if factors and self.load_steps is not None:
             raise Rejected("allowed without statics.load_factors, which say where steps end", ("load_steps",))
+        if factors and self.control == "arc-length":
+            raise Rejected('allowed with statics.control = "load" only', ("load_factors",))
+        for name in ("max_load_factor", "branch"):
+            if name in given and self.control != "arc-length":
+                raise Rejected('allowed with statics.control = "arc-length" only', (name,))
 
 
 @dataclass(frozen=True, kw_only=True)

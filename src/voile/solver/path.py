@@ -37,8 +37,8 @@ class StaticsOptions:
 @dataclass
 class LoadStep:
     """One converged equilibrium of the path; negative: eigenvalues of its tangent; contact: its figures (see
-    problem.contact); method: which found it; reason
-    why it is one."""
+    problem.contact); method: which found it; reason why it is one; displacement (m) along the load, where the path
+    is followed along its arc."""
 
     factor: float
     iterations: int
@@ -49,6 +49,7 @@ class LoadStep:
     contact: dict | None = None
     method: str = "newton"
     reason: str = "residual below tolerance"
+    displacement: float | None = None
 
 
 @dataclass(frozen=True)

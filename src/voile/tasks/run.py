@@ -107,8 +107,10 @@ class Run:
         return replace(mesh, point_data={**mesh.point_data, **point_data})
 
     @contextmanager
-    def results(self, mesh: StaticMesh | None, goes_on: float | None = None) -> Iterator[ResultWriter]:
-        """The result file; goes_on: after which of its values."""
+    def results(
+        self, mesh: StaticMesh | None, goes_on: float | None = None, numbered: bool = False
+    ) -> Iterator[ResultWriter]:
+        """The result file; goes_on: after which of its values; numbered: these may fall."""
         with ResultWriter(
             self.folder / "result.vtkhdf",
             self.comm,
@@ -117,6 +119,7 @@ class Run:
             versions=versions(),
             goes_on=goes_on,
             gather=not self.lasting,
+            numbered=numbered,
         ) as writer:
             yield writer
 
@@ -196,7 +199,8 @@ def _of_statics(path: LoadPath) -> dict[str, Any]:
 
 
 class Steps:
-    """Takes the steps of a path as they come: tells the progress and writes every so many, and the last, at `end`."""
+    """Takes the steps of a path as they come: tells the progress and writes every so many, and the last, at `end` or
+    minus that."""
 
     def __init__(self, run: Run, problem: Problem, writer: ResultWriter, end: float = 1.0):
         self.run, self.problem, self.writer, self.end, self.reached = run, problem, writer, end, 0
@@ -204,24 +208,26 @@ class Steps:
     def __call__(self, step: LoadStep, y: PETSc.Vec) -> None:
         self.run.progress.step(step)
         self.reached += 1
-        if step.factor >= self.end or self.reached % self.run.scene.output.every == 0:
-            self._write(step.factor, step.residual, 1.0, y, step.energies)
+        if abs(step.factor) >= self.end or self.reached % self.run.scene.output.every == 0:
+            self._write_step(step, y)
 
     def finish(self, path: LoadPath) -> None:
         """Writes the last good state of a path that did not reach its end."""
         if path.converged:
             return
         if not self.reached:
-            self._write(0.0, math.inf, 0.0, path.state, {})
+            self._write(0.0, path.state, {"residual": math.inf, "converged": 0.0})
         elif self.reached % self.run.scene.output.every:
-            last = path.steps[-1]
-            self._write(last.factor, last.residual, 1.0, path.state, last.energies)
+            self._write_step(path.steps[-1], path.state)
 
-    def _write(
-        self, at: float, residual: float, converged: float, y: PETSc.Vec, energies: dict[str, float]
-    ) -> None:
+    def _write_step(self, step: LoadStep, y: PETSc.Vec) -> None:
+        scalars = {"residual": step.residual, "converged": 1.0, **step.energies}
+        if step.displacement is not None:
+            scalars["load_displacement"] = step.displacement
+        self._write(step.factor, y, scalars)
+
+    def _write(self, at: float, y: PETSc.Vec, scalars: dict[str, float]) -> None:
         start = time.perf_counter()
-        scalars = {"residual": residual, "converged": converged, **energies}
         fields = self.run.scene.output.fields
         self.writer.write_step(at, scalars=scalars, **rows(self.problem.at(at), y, fields))
         self.run.writing += time.perf_counter() - start

@@ -2,9 +2,13 @@
 
 import math
 
+from voile.errors import InputError
+from voile.problem.problem import Problem
+from voile.problem.shell import Shell
 from voile.scene import Scene
 from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
+from voile.solver.stepping.arc_length import solve_arc
 from voile.tasks.run import Run, Steps
 
 
@@ -12,12 +16,36 @@ def run(job: Run) -> str:
     """Solves a statics scene and writes its results; the reason why it did not converge, or empty."""
     options = options_of(job.scene)
     shell, problem = job.prepare()
+    if job.scene.statics.control == "arc-length":
+        return _along_the_arc(job, shell, problem, options)
     with job.results(job.mesh(shell, problem.directors)) as writer:
         steps = Steps(job, problem, writer)
         path = solve_statics(problem, options, on_step=steps)
         steps.finish(path)
     _tell(job, path)
     job.summarise(problem, path, supports=job.supports(problem, path))
+    return "" if path.converged else path.reason
+
+
+def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: StaticsOptions) -> str:
+    """The same along the arc of the path, with its limit points and bifurcations."""
+    s = job.scene.statics
+    if not problem.load_norm(problem.create_vector()):
+        raise InputError(
+            f'{job.scene.path}: statics.control = "arc-length" without a load; allowed: with [loads]'
+        )
+    with job.results(job.mesh(shell, problem.directors), numbered=True) as writer:
+        steps = Steps(job, problem, writer, s.max_load_factor)
+        path, critical = solve_arc(problem, options, s.max_load_factor, s.branch, steps)
+        steps.finish(path)
+    told: dict[str, list] = {"limit point": [], "bifurcation": []}
+    for point in critical:
+        told[point.kind].append({"load_factor": point.place.factor, "displacement": point.displacement})
+    bifurcations = told["bifurcation"]
+    if path.converged and s.branch > len(bifurcations):
+        many = f"{len(bifurcations)} bifurcation" + "s" * (len(bifurcations) != 1)
+        path.converged, path.reason = False, f"statics.branch = {s.branch}: {many} on the path"
+    job.summarise(problem, path, limit_points=told["limit point"], bifurcations=bifurcations)
     return "" if path.converged else path.reason
 
 

@@ -1,0 +1,231 @@
+"""Statics along the arc of a path: load factors rise and fall, limit points and bifurcations are found on the way.
+
+A limit point is where the load factor's slope changes its sign; a bifurcation where the tangent's inertia changes
+otherwise. Either lies between two places of the path, and is closed in by equilibria between them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voile.errors import NotConverged
+from voile.problem.imperfection import imperfection
+from voile.problem.problem import Problem
+from voile.solver.methods.method import Workspace
+from voile.solver.path import STEPS, LoadStep, Path, Progress, StaticsOptions
+from voile.solver.stepping.arc import Arc, Place
+
+ALMOST = 1e-6  # relative: a step that ends so near to the end of the path ends there
+
+
+@dataclass
+class Options:
+    """wanted: iterations of a step that keeps its length; turn: least cosine between the directions at a step's ends;
+    bend: departure of its load factor from a straight line, over the longest change of one; sharp: over the first, a
+    step so short that neither counts; longest: step (sizes); shortest: over the first, where none is shorter. flat:
+    relative error of a limit point's load factor; halvings: of a step around a bifurcation."""
+
+    wanted: int = 6
+    turn: float = 0.95
+    bend: float = 0.25
+    sharp: float = 1e-3
+    longest: float = 0.05
+    shortest: float = 1e-6
+    flat: float = 1e-9
+    searches: int = 12
+    halvings: int = 8
+
+
+@dataclass
+class Critical:
+    """A limit point or a bifurcation: its kind, load factor, displacement along the load (m)."""
+
+    kind: str
+    place: Place
+    displacement: float
+
+
+def solve_arc(
+    problem: Problem, options: StaticsOptions, most: float, branch: int, on_step: Progress | None = None
+) -> tuple[Path, list[Critical]]:
+    """Follows the path of a problem without contact and moving supports from the unloaded shell until the load factor
+    is `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. Does not raise for lack
+    of convergence; see Path."""
+    run = ArcPath(problem, options, most, branch)
+    run.follow(on_step)
+    return run.path, run.found
+
+
+class ArcPath:
+    """The path; `found` its limit points and bifurcations in their order."""
+
+    def __init__(self, problem: Problem, options: StaticsOptions, most: float, branch: int):
+        self.problem, self.asked, self.most, self.branch = problem, options, most, branch
+        self.options, self.found = Options(), list[Critical]()
+        start = problem.create_vector()
+        work = Workspace(problem)
+        self.arc = Arc(problem, work, options.tolerance * problem.load_norm(start))
+        self.path = Path(state=start, counts=work.counts)
+        self.cap = most / (options.load_steps or STEPS)  # change of the load factor in a step
+        self.on_step: Progress | None = None
+
+    def follow(self, on_step: Progress | None) -> None:
+        """Calls on_step after each equilibrium."""
+        self.on_step, here = on_step, self.arc.start()
+        if here is None:
+            self.path.reason = (
+                "next to its start shape the unloaded shell has no equilibrium that a path leaves"
+            )
+            return
+        self.last = here
+        self._go(here)
+        self.arc.unknowns(self.last).copy(self.path.state)
+
+    def _go(self, here: Place) -> None:
+        """From place to place until the end."""
+        path, options = self.path, self.options
+        first = length = min(self.cap / here.slope, options.longest)
+        while path.attempts < self.asked.max_steps:
+            path.attempts += 1
+            there = self._next(here, length, length < options.sharp * first)
+            if there is None:
+                length *= 0.25
+                if length < options.shortest * first:
+                    path.reason = f"no equilibrium next to that at load factor {here.factor:g}"
+                    return
+                continue
+            left = self._pass(here, there)
+            if left:
+                here, length = left
+                self._keep(here, "branch")
+                continue
+            self._keep(there, "arc-length")
+            if abs(there.factor) >= self.most:
+                path.converged, path.reason = True, there.reason
+                path.stable = None if there.negative is None else there.negative == 0
+                return
+            easier = min(options.wanted / there.iterations, (0.5 / max(self._bend(here, there), 1e-3)) ** 0.5)
+            length *= min(max(easier, 0.25), 2.0)
+            length = min(length, options.longest, self.cap / max(abs(there.slope), 1e-300))
+            here = there
+        path.reason = f"max_steps = {self.asked.max_steps} steps ended at load factor {here.factor:g}"
+
+    def _next(self, here: Place, length: float, sharp: bool) -> Place | None:
+        """The end of a step; None where it has to be shorter."""
+        arc = self.arc
+        there = arc.advance(here, length)
+        if there is None or not arc.aim(there, arc.between(here, there)):
+            return None
+        turned = arc.product(here.direction, there.direction) < self.options.turn
+        if not sharp and (turned or self._bend(here, there) > 1.0):
+            return None
+        if abs(there.factor) > (1.0 - ALMOST) * self.most:
+            end = arc.reach(here, there, float(np.copysign(self.most, there.factor)))
+            return end if end and arc.aim(end, arc.between(here, end)) else None
+        return there
+
+    def _bend(self, here: Place, there: Place) -> float:
+        """How far the load factor is from a straight line, over what is allowed."""
+        length = self.arc.product(here.direction, self.arc.between(here, there))
+        return abs(there.factor - here.factor - length * here.slope) / (self.options.bend * self.cap)
+
+    def _keep(self, place: Place, method: str) -> None:
+        """A place becomes a step of the path."""
+        self.last, y = place, self.arc.unknowns(place)
+        done = LoadStep(
+            place.factor,
+            place.iterations,
+            place.residual,
+            self.arc.tolerance,
+            self.problem.at(place.factor).energies(y),
+            place.negative,
+            None,
+            method,
+            place.reason,
+            self.arc.along_load(place),
+        )
+        self.path.steps.append(done)
+        self.path.seconds |= {"linear_solve": self.path.counts.seconds}
+        if self.on_step:
+            self.on_step(done, y)
+
+    # ---- critical points ----
+
+    def _pass(self, a: Place, b: Place) -> tuple[Place, float] | None:
+        """Finds what is critical between two places; if a branch begins there that is asked for, its first place and
+        the length of its first step."""
+        events = []
+        turns = a.slope * b.slope < 0.0
+        if turns:
+            events.append(("limit point", self._limit(a, b)))
+        if _changed(a, b):
+            events.append(("bifurcation", self._bifurcation(a, b)))
+        events.sort(key=lambda event: self.arc.product(a.direction, self.arc.between(a, event[1])))
+        for kind, place in events:
+            self.found.append(Critical(kind, place, self.arc.along_load(place)))
+            self._keep(place, kind)
+            if kind == "bifurcation" and self.branch == sum(c.kind == kind for c in self.found):
+                return self._leave(place)
+        return None
+
+    def _limit(self, a: Place, b: Place) -> Place:
+        """Where the load factor is greatest or least between two places: regula falsi (Illinois) on its slope."""
+        arc, best = self.arc, b if abs(b.slope) < abs(a.slope) else a
+        low, high = 0.0, arc.product(a.direction, arc.between(a, b))
+        at_low, at_high, curvature = a.slope, b.slope, abs(b.slope - a.slope) / high
+        for _ in range(self.options.searches):
+            length = (low * at_high - high * at_low) / (at_high - at_low)
+            place = arc.advance(a, length)
+            if place is None or not arc.aim(place, a.direction):
+                break
+            best = place
+            if place.slope**2 < 2.0 * curvature * self.options.flat * max(
+                abs(place.factor), 1e-3 * self.most
+            ):
+                break
+            if place.slope * at_low > 0.0:
+                low, at_low, at_high = length, place.slope, 0.5 * at_high
+            else:
+                high, at_high, at_low = length, place.slope, 0.5 * at_low
+        return best
+
+    def _bifurcation(self, a: Place, b: Place) -> Place:
+        """Where the inertia changes between two places: halving, then its eigenvalue is linear."""
+        arc, left, right = self.arc, a, b
+        length = arc.product(a.direction, arc.between(a, b))
+        for _ in range(self.options.halvings):
+            middle = arc.advance(left, 0.5 * length)
+            if middle is None or not arc.aim(middle, left.direction):
+                break
+            length *= 0.5
+            left, right = (left, middle) if _changed(left, middle) else (middle, right)
+        field = imperfection(self.problem)
+        values = [arc.softest(place, field)[0] for place in (left, right)]
+        share = values[0] / (values[0] - values[1]) if values[0] * values[1] < 0.0 else 0.5
+        arc.aim(left, left.direction)
+        place = arc.advance(left, share * length) or left
+        place.direction, place.slope, place.negative = left.direction, left.slope, left.negative
+        return place
+
+    def _leave(self, place: Place) -> tuple[Place, float]:
+        """The first place of the branch that meets the path at a bifurcation, a perturbation along its vector, and how
+        far that is."""
+        arc = self.arc
+        _, way = arc.softest(place, imperfection(self.problem))
+        off = self.asked.perturbation * self.problem.thickness() / self.problem.size()
+        length = off / self.problem.largest_motion(way)
+        for further in (1.0, 4.0, 0.25, 16.0):
+            there = arc.advance(place, further * length, way, 0.0)
+            if there and arc.aim(there, way):
+                return there, further * length
+        raise NotConverged(
+            f"statics.branch = {self.branch}: no equilibrium is found beside the bifurcation at load factor "
+            f"{place.factor:g}"
+        )
+
+
+def _changed(a: Place, b: Place) -> bool:
+    """Whether the inertia changes otherwise than by a limit point."""
+    if a.negative is None or b.negative is None:
+        return False
+    return abs(b.negative - a.negative) != (a.slope * b.slope < 0.0)

@@ -1,0 +1,143 @@
+"""Paths through limit points and onto bifurcated branches, against published curves, closed forms, a boundary value
+problem, and the load path that prescribed displacements find."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import roofs
+from mpi4py import MPI
+from shells import pulled_cylinder
+
+from voile.problem.problem import Problem
+from voile.solver.path import StaticsOptions, require
+from voile.solver.statics import solve_statics
+from voile.solver.stepping.arc_length import solve_arc
+
+
+class Curve:
+    """A path to the full load: load factors and displacements (steps, 3) of some vertices; `found` what is critical."""
+
+    def __init__(self, shell, vertices, load_steps=None, branch=0):
+        self.problem = problem = Problem(shell, MPI.COMM_SELF)
+        places = [int(np.flatnonzero(problem.part.vertex == v)[0]) for v in vertices]
+        factors, moved = [], []
+
+        def note(step, y):
+            factors.append(step.factor)
+            moved.append(problem.local(y)[0].reshape(-1, 3)[places])
+
+        options = StaticsOptions(load_steps=load_steps)
+        self.path, self.found = solve_arc(problem, options, 1.0, branch, note)
+        require(self.path)
+        self.factors, self.moved = np.array(factors), np.array(moved)
+
+    def limits(self):
+        """Load factors and displacements along the load."""
+        found = [(c.place.factor, c.displacement) for c in self.found if c.kind == "limit point"]
+        return np.array(found).reshape(-1, 2)
+
+
+# ---- the hinged roof ----
+
+
+@pytest.mark.parametrize(
+    ("thickness", "load", "displacement"),
+    [(12.7, 2226.3, 11.293), (6.35, 585.9, 12.892)],  # Sze, Liu & Lo 2004, next to their first limit points
+)
+def test_hinged_roof(thickness, load, displacement):
+    limits = []
+    for n in (12, 24, 48):
+        shell, middle = roofs.hinged_roof(n, n, thickness, 3000.0)
+        curve = Curve(shell, [middle])
+        limits.append(curve.limits()[:, 0] * 3000.0)
+        assert [c.kind for c in curve.found] == ["limit point", "limit point"]
+    assert abs(limits[-1][0] / load - 1.0) < 0.005
+    assert abs(curve.limits()[0, 1] / displacement - 1.0) < 0.06  # the top is flat
+    # order 2 in the mesh: differences fall fourfold
+    change = np.abs(np.diff(limits, axis=0))
+    assert (change[0] / change[1] > 3.0).all()
+
+
+def test_the_roofs_path_is_that_of_prescribed_displacements():
+    shell, middle = roofs.hinged_roof(8, 8, 12.7, 3000.0)
+    curve = Curve(shell, [middle], load_steps=40)
+    down = -curve.moved[:, 0, 2]
+    assert (np.diff(down) > 0.0).all()  # no snap-back at this thickness
+    fixed, motion = shell.fixed.copy(), np.zeros_like(shell.points)
+    fixed[middle, 2], motion[middle, 2] = True, -28.0
+    pushed = replace(shell, fixed=fixed, motion=motion, force=None)
+    problem = Problem(pushed, MPI.COMM_SELF)
+    place, found = int(np.flatnonzero(problem.part.vertex == middle)[0]), []
+
+    def note(step, y):
+        found.append((28.0 * step.factor, -4.0 * problem.at(step.factor).reactions(y)[place, 2] / 3000.0))
+
+    require(solve_statics(problem, StaticsOptions(load_steps=28, stability=False), on_step=note))
+    at, factors = np.array(found).T
+    np.testing.assert_allclose(np.interp(at, down, curve.factors), factors, atol=0.004)
+
+
+def test_snap_back():
+    """At half the thickness the middle moves back while the load falls, and the path goes below zero."""
+    shell, middle = roofs.hinged_roof(12, 12, 6.35, 3000.0)
+    curve = Curve(shell, [middle])
+    down = -curve.moved[:, 0, 2]
+    assert (np.diff(down) < 0.0).any() and curve.factors.min() < 0.0
+    assert len(curve.limits()) == 2 and curve.path.stable
+    # what lies between the limit points is not stable
+    negative = np.array([step.negative for step in curve.path.steps])
+    first, last = (next(k for k, f in enumerate(curve.factors) if f == t) for t in curve.limits()[:, 0])
+    assert (negative[first + 1 : last] == 1).all()
+    assert (negative[:first] == 0).all() and (negative[last + 1 :] == 0).all()
+
+
+# ---- others ----
+
+
+def test_dome_under_pressure():
+    sags = np.linspace(0.1, 1.5, 57)
+    curve = roofs.dome_path(sags)
+    top, bottom = curve[:20].max(), curve[20:].min()
+    found = []
+    for size in (0.1, 0.05):
+        shell = roofs.clamped_dome(size, 1.5)
+        path, critical = solve_arc(Problem(shell, MPI.COMM_SELF), StaticsOptions(), 1.0, 0)
+        require(path)
+        found.append([1.5 * c.place.factor for c in critical])
+        assert [c.kind for c in critical] == ["limit point", "limit point"]
+    error = np.abs(np.array(found) / [top, bottom] - 1.0)
+    assert error[-1].max() < 0.004
+    assert (error[0] > 2.0 * error[-1]).all()
+
+
+def test_cylinder_pull_out(shared):
+    """Sze, Liu & Lo's whole curve, whose kink their loads in steps of 2.5 to 5 % pass."""
+    table = json.loads((shared / "reference" / "sze-2004.json").read_text())["open_cylinder_pull_out"]
+    shell, a, b, c = pulled_cylinder(36, 24, "crossed")
+    curve = Curve(shell, [a, b, c], load_steps=40)
+    assert all(0.5 < factor < 0.56 for factor in curve.limits()[:, 0])  # where the curve has its kink
+    rising = curve.factors >= np.maximum.accumulate(curve.factors)
+    ours = [curve.moved[:, 0, 0], -curve.moved[:, 1, 1], -curve.moved[:, 2, 1]]
+    factors, *published = np.array(table["rows"]).T
+    for mine, theirs in zip(ours, published, strict=True):
+        away = np.abs(factors - 0.525) > 0.001  # of the kink, where theirs has jumped and ours has not
+        difference = np.abs(np.interp(factors, curve.factors[rising], mine[rising]) - theirs)[away]
+        assert difference.max() < 0.06 and np.median(difference) < 0.02
+
+
+@pytest.mark.parametrize("n", [40, 80])
+def test_a_column_bifurcates_onto_its_elastica(n):
+    shell = roofs.pinned_strip(n, 1.2)
+    straight = Curve(shell, [])
+    (point,) = straight.found
+    assert point.kind == "bifurcation" and abs(1.2 * point.place.factor - 1.0) < 2.2 / n**2
+    assert straight.path.steps[-1].negative == 1 and straight.path.stable is False
+    middle = int(np.flatnonzero(np.abs(shell.points[:, 0] - 0.5) < 1e-9)[0])
+    bent = Curve(shell, [middle], load_steps=200, branch=1)
+    assert bent.path.stable and bent.path.steps[-1].negative == 0
+    loads, sag = 1.2 * bent.factors, np.abs(bent.moved[:, 0, 2])
+    for angle in np.radians([20.0, 40.0, 60.0]):
+        load, deflection = roofs.elastica(angle)
+        assert abs(np.interp(deflection, sag, loads) / load - 1.0) < 0.003
