@@ -171,6 +171,32 @@ def test_pictures_and_films(scene, tmp_path):
     assert main(["info", out]) == 0 and main(["explain", str(tmp_path / "scene.toml")]) == 0
 
 
+BALL = """
+[[obstacle]]
+shape = "sphere"
+center = [0.8, 0.5, -0.26]
+radius = 0.2
+friction = 0.4
+"""
+
+
+def test_obstacles(scene, tmp_path):
+    """A plate that its weight lays on a ball rings higher than one that only hangs over it."""
+    pytest.importorskip("pyvista")
+    found = []
+    for text in (SCENE, HEAVY):
+        assert run(scene(text.replace("1e9", "1e8") + CLAMP + BALL)) == 0
+        summary = read_summary(tmp_path / "out" / "summary.json")
+        found.append(summary["modes"]["frequencies"][0])
+        assert main(["render", str(tmp_path / "out"), "--field", "mode_000"]) == 0
+        with read_result(tmp_path / "out") as result:
+            touching = result.field("contact") > 0
+            assert touching.sum() == summary["contact"]["active"]
+            sticks = result.field("contact") == 1
+            assert np.abs(result.field("mode_000")[sticks]).max(initial=0.0) < 1e-4
+    assert touching.any() and found[1] > 1.5 * found[0]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -180,6 +206,10 @@ def test_pictures_and_films(scene, tmp_path):
         (SCENE + CLAMP + "[modes]\nbuckling = true\n", "modes.buckling = true without a load"),
         (BUCKLING.replace(HELD, ""), "needs supports that hold the shell"),
         (HEAVY, "free to move rigidly"),
+        (
+            HEAVY + CLAMP + BALL + "[modes]\nload_factor = 0.5\n",
+            "modes.load_factor: 0.5; allowed with contact: 1",
+        ),
         (HEAVY + "[modes]\nload_factor = 2\n" + CLAMP, "modes.load_factor: 2 is not allowed"),
         (
             BUCKLING + '[[obstacle]]\nshape = "plane"\npoint = [0, 0, -1]\nnormal = [0, 0, 1]\n',

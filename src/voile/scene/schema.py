@@ -262,9 +262,12 @@ class Scene:
                 "force",
                 ("loads", "moment"),
             )
-        if self.modes.buckling and (self.obstacle or self.contact.self_contact):
+        contact = self.obstacle or self.contact.self_contact
+        if self.modes.buckling and contact:
             where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
             raise Rejected("allowed with modes.buckling = true: no contact", where)
+        if contact and self.modes.about != 1.0:
+            raise Rejected(f"{self.modes.about:g}; allowed with contact: 1", ("modes", "load_factor"))
 
     def _check_fields(self) -> None:
         if self.output.fields and self.scene.task not in ("statics", "dynamics"):

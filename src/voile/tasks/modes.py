@@ -20,16 +20,17 @@ def run(job: Run) -> str:
     spec = job.scene.modes
     shell, problem = job.prepare()
     _check(job, problem)
-    problem, path = _equilibrium(job, shell, problem, spec.about)
+    still, path = _equilibrium(job, shell, problem, spec.about)
+    problem = problem.at(spec.about)
     if not path.converged:
         with job.results(job.mesh(shell, problem.directors)) as writer:
             Steps(job, problem, writer).finish(path)
         job.summarise(problem, path)
         return path.reason
     if spec.buckling:
-        modes = buckling(problem, path.state, spec.count, path.counts)
+        modes = buckling(still, path.state, spec.count, path.counts)
     else:
-        modes = vibrations(problem, path.state, spec.count, path.counts, _rigid(shell, problem, path))
+        modes = vibrations(still, path.state, spec.count, path.counts, _rigid(shell, still, path))
     path.seconds["linear_solve"] = path.counts.seconds
     _write(job, shell, problem, path, modes)
     if not len(modes.values):
@@ -64,10 +65,11 @@ def _check(job: Run, problem: Problem) -> None:
 
 
 def _equilibrium(job: Run, shell: Shell | None, problem: Problem, about: float) -> tuple[Problem, Path]:
-    """The problem at a load factor, and the path to its equilibrium: of no steps where the shell starts in it."""
+    """The problem at a load factor, without obstacles that nothing presses it on, and the path to its equilibrium: of
+    no steps where the shell starts in it."""
     start, y = problem.at(about), problem.create_vector()
     idle = problem.load_norm(y) == 0.0 and not problem.moves
-    if idle:  # nothing presses it on an obstacle
+    if idle:
         start = start.with_contact(None)
     options = options_of(job.scene)
     residual, wanted = problem.create_vector(), tolerance(start, y, options)
