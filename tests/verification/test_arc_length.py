@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import roofs
 from mpi4py import MPI
+from shapes import standing_strip
 from shells import pulled_cylinder
+from vibrating import own_weight
 
 from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions, require
@@ -141,3 +143,19 @@ def test_a_column_bifurcates_onto_its_elastica(n):
     for angle in np.radians([20.0, 40.0, 60.0]):
         load, deflection = roofs.elastica(angle)
         assert abs(np.interp(deflection, sag, loads) / load - 1.0) < 0.003
+
+
+def test_a_strip_on_edge_buckles_sideways():
+    """The bifurcation is the load of linear buckling, but for the bending before; its branch is the shape that statics
+    find, which may lean to the other side."""
+    width, load = 0.1, 1.5
+    shell, _ = standing_strip(load, width, 40, 4)
+    linear = own_weight(width, 50.0, 40, 4, 0.0) / (12.85376 * np.sqrt(2.0))
+    problem = Problem(shell, MPI.COMM_SELF)
+    path, (point,) = solve_arc(problem, StaticsOptions(), 1.0, 1)
+    assert require(path).stable and point.kind == "bifurcation"
+    assert abs(load * point.place.factor / linear - 1.0) < 0.003
+    leaning = np.abs(problem.local(path.state)[0])
+    other = Problem(shell, MPI.COMM_SELF)
+    bent = np.abs(other.local(require(solve_statics(other)).state)[0])
+    np.testing.assert_allclose(leaning, bent, rtol=0, atol=1e-6)
