@@ -45,7 +45,9 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
     if path.converged and s.branch > len(bifurcations):
         many = f"{len(bifurcations)} bifurcation" + "s" * (len(bifurcations) != 1)
         path.converged, path.reason = False, f"statics.branch = {s.branch}: {many} on the path"
-    job.summarise(problem, path, limit_points=told["limit point"], bifurcations=bifurcations)
+    _tell(job, path)
+    more = {"limit_points": told["limit point"], "bifurcations": bifurcations}
+    job.summarise(problem, path, supports=job.supports(problem, path), **more)
     return "" if path.converged else path.reason
 
 
