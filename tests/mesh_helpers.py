@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
+from voile.contact.obstacles import Box
 from voile.mesh import Surface, boundary_loops, build_topology
 
 GENERATORS = Path(__file__).parents[1] / "meshes"
@@ -41,3 +42,12 @@ def generator(name: str) -> ModuleType:
         return importlib.import_module(name)
     finally:
         sys.path.remove(str(GENERATORS))
+
+
+def plate_mesh(side: float, thickness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of 12 triangles, around y = 0."""
+    points, triangles = Box(center=np.zeros(3), sizes=0.5 * np.array([side, thickness, side])).surface(
+        np.zeros((2, 3))
+    )
+    points, place = np.unique(np.round(points, 12), axis=0, return_inverse=True)
+    return points, place.ravel()[triangles]

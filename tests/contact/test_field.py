@@ -3,9 +3,10 @@
 import igl
 import numpy as np
 import pytest
+from mesh_helpers import plate_mesh
 
 from voile.contact.field import signed_distance
-from voile.contact.obstacles import Box, MeshBody
+from voile.contact.obstacles import MeshBody
 from voile.errors import InputError
 from voile.mesh import read_mesh
 
@@ -167,28 +168,19 @@ def test_a_resolution_too_coarse_for_the_body():
         MeshBody.around(points, triangles, 0.5)
 
 
-def plate(side: float, thickness: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of 12 triangles, around y = 0."""
-    points, triangles = Box(center=np.zeros(3), sizes=0.5 * np.array([side, thickness, side])).surface(
-        np.zeros((2, 3))
-    )
-    points, place = np.unique(np.round(points, 12), axis=0, return_inverse=True)
-    return points, place.ravel()[triangles]
-
-
 def test_a_thin_body_is_resolved_by_itself():
-    body = MeshBody.around(*plate(0.1, 1e-3))
+    body = MeshBody.around(*plate_mesh(0.1, 1e-3))
     assert 0.8e-3 < body.spacing <= 1e-3 and body.thinnest <= 1e-3 and not body.blurred
     across = np.column_stack([np.full(21, 0.013), np.linspace(-2e-3, 2e-3, 21), np.full(21, 0.011)])
     np.testing.assert_allclose(body.distance(across)[[0, -1]], 1.5e-3, atol=1.5e-4)
     assert body.distance(np.zeros((1, 3)))[0] < 0.0
-    blunt = MeshBody.around(*plate(0.1, 1e-3), resolution=4e-3)
+    blunt = MeshBody.around(*plate_mesh(0.1, 1e-3), resolution=4e-3)
     assert "resolution of 0.00" in blunt.blurred and blunt.blurred in blunt.about()
 
 
 def test_thin_parts_of_a_thick_body_are_told():
     """A ball with a small plate beside it keeps its resolution; the plate is a tenth of the surface."""
-    points, triangles = plate(1.0, 0.01)
+    points, triangles = plate_mesh(1.0, 0.01)
     body = MeshBody.around(*together(ball(), (points + np.array([2.0, 0.0, 0.0]), triangles)))
     assert body.spacing > 0.012 and body.thinnest < 0.0101 and body.blurred
     assert MeshBody.around(*ball()).thinnest == np.inf

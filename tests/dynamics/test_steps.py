@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from mesh_helpers import plate_mesh
 from moving import cloth, move
 from test_contact_in_time import on_slope
-from test_field import plate
 from test_problem import sheet
 
 from voile.contact.crossing import entries
@@ -40,7 +40,7 @@ def test_a_fast_sheet_stays_above_a_thin_mesh():
     """A plate of 1 mm and 12 triangles, whose field is as fine as it needs by itself."""
     points, triangles = sheet(3, 3, 0.1, 0.1)
     points += np.array([-0.05, -0.05, 0.1])
-    corners, faces = plate(0.16, 1e-3)
+    corners, faces = plate_mesh(0.16, 1e-3)
     body = MeshBody.around(np.roll(corners, 1, axis=1), faces, friction=0.3)
     shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
     run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
@@ -51,7 +51,7 @@ def test_a_fast_sheet_stays_above_a_thin_mesh():
 def test_a_blunt_field_is_blamed():
     points, triangles = sheet(3, 3, 0.1, 0.1)
     points += np.array([-0.05, -0.05, 0.1])
-    corners, faces = plate(0.16, 1e-3)
+    corners, faces = plate_mesh(0.16, 1e-3)
     body = MeshBody.around(np.roll(corners, 1, axis=1), faces, 0.014)
     shell = cloth(points, triangles, rest_points=points, model="koiter/tan/neo-hookean")
     run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)

@@ -74,6 +74,9 @@ class LocalGlobal:
         reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
         return Outcome(True, self.name, reason, norm=step.norm)
 
+    def sharpen(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> None:
+        """Its iterations are counted; there is none to spare."""
+
     def matrix(self, problem: Problem, coefficient: float) -> tuple[ConstantMatrix, Resistance | None]:
         """A for an inertia of `coefficient` (1/s^2), and what contacts take for it."""
         elastic = problem.terms[0]

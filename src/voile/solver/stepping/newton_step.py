@@ -62,6 +62,13 @@ class NewtonStep:
             self._polish(problem, y)
         return outcome
 
+    def sharpen(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> None:
+        """One more iteration, mostly, from the solution y to a tolerance (N); y stays where that fails. With contact
+        there is always one, and one is to round-off."""
+        held, sharper = problem.save(y), tolerance if problem.contact else self.options.sharp * tolerance
+        if not self.cascade.solve(problem, y, sharper).converged:
+            problem.restore(y, held)
+
     def _polish(self, problem: Problem, y: PETSc.Vec) -> None:
         """One more correction with the last factor, which costs little and lets the books close."""
         residual, step = problem.create_vector(), y.duplicate()

@@ -33,7 +33,8 @@ class Options:
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
     positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. crushed:
-    of a triangle's area at rest, which is blamed for a failure."""
+    of a triangle's area at rest, which is blamed for a failure. closes: of the most energy that there was, what the
+    books may miss at the end; steps that take more than their share of it are solved more sharply."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -44,6 +45,7 @@ class Options:
     digits: float = 4.0
     finest: float = 1.0 / 256.0
     crushed: float = 0.1
+    closes: float = 5e-9
 
 
 @dataclass
@@ -75,6 +77,10 @@ class StepSolver(Protocol):
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """tolerance: of the residual's norm (N)."""
+        ...
+
+    def sharpen(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> None:
+        """Improves a solution y at the cost of an iteration."""
         ...
 
 
@@ -242,16 +248,17 @@ class Stepper:
         self._begin_contact(problem, scheme, start.time, h)
         self._guess(problem, scheme.predict(k, h))
         prediction, step, wanted, outcome = self._solve(forces)
-        residuals = _residuals(step, y, wanted) if outcome.converged else (np.inf, np.inf)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
         if not outcome.converged:
             problem.restore(y, start)
             return None, outcome
-        x = problem.positions(y)
-        after = scheme.update(k, h, prediction, x)
-        entries = self.path.books.entries(Ended(forces, y, after, prediction))
+        after, entries = self._ended(forces, prediction)
+        if self._misses(entries, end):
+            self.solver.sharpen(step, y, wanted)
+            after, entries = self._ended(forces, prediction)
+        x = after.positions
         refusal = self._refusal(problem, prediction, start.time, h, x)
         if not refusal:
             refusal = self.creation.refusal(self.path.books, entries, h <= self.finest)
@@ -266,7 +273,7 @@ class Stepper:
             problem.time,
             h,
             self.solver.counts.iterations - before,
-            *residuals,
+            *_residuals(step, y, wanted),
             wanted,
             problem.energies(y),
             contact_report(problem, y) if problem.contact else None,
@@ -274,6 +281,18 @@ class Stepper:
             problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
         )
         return done, outcome
+
+    def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Kinematics, dict[str, float]]:
+        """Kinematics at the end of a step, which is y, and its entries in the books."""
+        x = forces.problem.positions(self.y)
+        after = forces.scheme.update(self.k, forces.h, prediction, x)
+        return after, self.path.books.entries(Ended(forces, self.y, after, prediction))
+
+    def _misses(self, entries: dict[str, float], end: float) -> bool:
+        """Whether with a step up to the time `end` (s) the books miss more than their share."""
+        books = self.path.books
+        share = min(end / self.asked.duration, 1.0)
+        return abs(books.error + entries["error"]) > self.options.closes * share * books.let(entries)
 
     def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: np.ndarray) -> str:
         """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
