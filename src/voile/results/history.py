@@ -23,12 +23,32 @@ if TYPE_CHECKING:
 PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times what the last one took
 
 
+class Column:
+    """An array that rows are added to."""
+
+    def __init__(self, rows: np.ndarray):
+        self._array, self.count = np.array(rows), len(rows)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Those so far."""
+        return self._array[: self.count]
+
+    def append(self, row: Any) -> None:
+        """Makes room for as many again where there is none."""
+        if self.count == len(self._array):
+            room = np.empty((max(self.count, 64), *self._array.shape[1:]), self._array.dtype)
+            self._array = np.concatenate([self._array, room])
+        self._array[self.count] = row
+        self.count += 1
+
+
 class HistoryWriter:
     """Rows of figures; only rank 0 has any. kept: columns of the rows that a resumed run begins with."""
 
     def __init__(self, path: Path, comm: MPI.Comm, kept: Mapping[str, np.ndarray] | None = None):
         self.path, self.comm = path, comm
-        self._columns = {name: list(values) for name, values in (kept or {}).items()}
+        self._columns = {name: Column(values) for name, values in (kept or {}).items()}
         self._h5py = import_h5py(comm)
         self._due = time.perf_counter() + PAUSE
 
@@ -37,7 +57,9 @@ class HistoryWriter:
         if self.comm.rank:
             return
         for name, value in row.items():
-            self._columns.setdefault(name, []).append(value)
+            if name not in self._columns:
+                self._columns[name] = Column(np.empty((0, *np.shape(value)), np.asarray(value).dtype))
+            self._columns[name].append(value)
         if time.perf_counter() > self._due:
             self.write()
 
@@ -49,7 +71,7 @@ class HistoryWriter:
         with self._h5py.File(part, "w", locking=False) as file:
             group = file.create_group("voile/history")
             for name, values in self._columns.items():
-                group[name] = np.array(values)
+                group[name] = values.rows
         os.replace(part, self.path)
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
 
