@@ -274,7 +274,8 @@ NB_MODULE(_kernels, m) {
   bind_model(m);
   bind_scatter(m);
   bind_coarsen(m);
-  m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, double factor) {
-    add_pressure_hessian(scatter, corners.data(), positions.data(), corners.size() / 3, factor);
+  m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, Doubles factor) {
+    const size_t count = corners.size() / 3;
+    add_pressure_hessian(scatter, corners.data(), positions.data(), count, sized(factor, count, "factor"));
   });
 }

@@ -3,7 +3,7 @@
 namespace voile {
 
 void add_pressure_hessian(Scatter& scatter, const int* corners, const double* positions, size_t triangles,
-                          double factor) {
+                          const double* factor) {
   double block[BLOCKS_LENGTH] = {};
   for (size_t t = 0; t < triangles; ++t) {
     const double* x[3];
@@ -14,7 +14,7 @@ void add_pressure_hessian(Scatter& scatter, const int* corners, const double* po
     for (int j = 0; j < 3; ++j)
       for (int k = j + 1; k < 3; ++k) {
         double w[3];
-        for (int d = 0; d < 3; ++d) w[d] = factor / 12.0 * (e[k][d] - e[j][d]);
+        for (int d = 0; d < 3; ++d) w[d] = factor[t] / 12.0 * (e[k][d] - e[j][d]);
         double* o = block + BLOCKS.start[j][k];
         o[1] = -w[2], o[2] = w[1], o[3] = w[2], o[5] = -w[0], o[6] = -w[1], o[7] = w[0];
       }

@@ -5,9 +5,9 @@
 
 namespace voile {
 
-// Adds factor times the symmetric part of d(N_t/6)/dx for every triangle, N_t = (x1 - x0) x (x2 - x0), each
-// corner carrying N_t/6: block (j, k) = [e_k - e_j]x / 12. Exact where the load has a potential.
+// Adds factors (m) times the symmetric part of d(N_t/6)/dx for every triangle, N_t = (x1 - x0) x (x2 - x0),
+// each corner carrying N_t/6: block (j, k) = [e_k - e_j]x / 12. Exact where the load has a potential.
 void add_pressure_hessian(Scatter& scatter, const int* corners, const double* positions, size_t triangles,
-                          double factor);
+                          const double* factor);
 
 }  // namespace voile

@@ -66,8 +66,8 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ),
         (
             "pressure",
-            shell.pressure != 0.0,
-            "follows the surface" if shell.pressure else "loads.pressure is zero",
+            shell.pressed,
+            "follows the surface" if shell.pressed else "loads.pressure is zero, and no [[loads.patch]]",
         ),
         (
             "dead forces",
@@ -170,7 +170,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         "there are springs, bands or ties": shell.springs is not None or shell.bars is not None,
         "layers are kept apart": scene.contact.self_contact,
         "loads have no potential": shell.moment is not None
-        or (shell.pressure and pressure_origin(shell) is None),
+        or (shell.pressed and pressure_origin(shell) is None),
         f"under {options.smallest} vertices": len(shell.points) <= options.smallest,
     }
     reason = next((reason for reason, holds in against.items() if holds), "")

@@ -91,6 +91,7 @@ def build_model(scene: Scene) -> Model:
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
         pressure=float(scene.loads.pressure),
+        patch_pressure=on.patches(scene.loads.patch),
         force=on.total("loads.force", [(force, np.array(force.value)) for force in scene.loads.force]),
         moment=_moments(scene, surface, topology, loops),
         topology=topology,
@@ -154,7 +155,7 @@ def _check_unknowns(shell: Shell, where: str) -> None:
 
 def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
     """Whether anything may press the shell on obstacles, so that they hold it."""
-    loads = (shell.gravity, shell.pressure, shell.force, shell.moment, shell.motion)
+    loads = (shell.gravity, shell.pressed, shell.force, shell.moment, shell.motion)
     loaded = any(load is not None and np.any(load) for load in loads)
     return loaded or any(body.moves for body in bodies)
 

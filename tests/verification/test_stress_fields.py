@@ -193,3 +193,44 @@ def test_fields_that_there_are_not_are_refused(tmp_path, capsys, sets, message):
     fix = "[[fix]]\nselect = { nodes = [0, 1, 2] }\n"
     run(tmp_path, points, triangles, fix, *sets, code=2)
     assert message in capsys.readouterr().err
+
+
+def test_pressure_by_group(tmp_path, capsys):
+    """A cylinder's halves under 300 and 100 Pa: hoop force p r of each, but for the bending next to their border."""
+    points, triangles = cylinder(64)
+    ends = "[[fix]]\nselect = { box = [[-1, -1, %g], [1, 1, %g]] }\naxes = 'z'\n"
+    quarter = (len(points) // 64) * np.array([0, 16, 32])
+    scene = (
+        "pressure = 100.0\n[[loads.patch]]\ngroup = 'low'\npressure = 200.0\n"
+        + ends % (-1, 0.001)
+        + ends % (0.069, 1)
+    )
+    scene += "".join(
+        f"[[fix]]\nselect = {{ nodes = {k} }}\naxes = '{axis}'\n"
+        for k, axis in zip(quarter, "yxy", strict=True)
+    )
+    height = points[triangles, 2].mean(axis=1)
+    order = np.argsort(height > 0.035, kind="stable")
+    triangles = triangles[order]
+    height = height[order]
+
+    def run_groups(*sets: str, code: int = 0):
+        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+        for name, mine in (("low", height < 0.035), ("high", height > 0.035)):
+            lines += [f"g {name}"] + ["f {} {} {}".format(*t) for t in triangles[mine] + 1]
+        run(
+            tmp_path, points, triangles, scene, "loads.patch=[]", fields=["membrane_force"]
+        )  # writes the scene
+        (tmp_path / "mesh.obj").write_text("\n".join(lines) + "\n")
+        options = [word for each in sets for word in ("--set", each)]
+        assert main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), *options]) == code
+        return read_result(tmp_path / "out") if code == 0 else None
+
+    result = run_groups("shell.bending=average")
+    radius = np.hypot(*result.points()[:, :2].T)[triangles].mean(axis=1)
+    hoop = result.field("principal_membrane_force")[:, 0]
+    for pressure, far in ((300.0, height < 0.015), (100.0, height > 0.055)):
+        assert far.sum() > 100
+        np.testing.assert_allclose(hoop[far], pressure * radius[far], rtol=0.03)
+    run_groups("loads.patch.0.group=lower", code=2)
+    assert "loads.patch.0.group = 'lower' is not a group of triangles" in capsys.readouterr().err

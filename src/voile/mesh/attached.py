@@ -30,6 +30,19 @@ class Attached:
         ]
         return np.sum(found, axis=0) if found else None
 
+    def patches(self, tables: Sequence[Any]) -> np.ndarray | None:
+        """(m,) pressure of the triangles of groups; None without."""
+        total = np.zeros(len(self.surface.triangles))
+        names = self.surface.group_names
+        for k, table in enumerate(tables):
+            if table.group not in names:
+                raise InputError(
+                    f"{self.path}: loads.patch.{k}.group = {table.group!r} is not a group of triangles of "
+                    f"{self.surface.source}; there are: {', '.join(names) or 'none'}"
+                )
+            total[self.surface.group == names.index(table.group)] += table.pressure
+        return total if tables else None
+
     def springs(self, tables: Sequence[Any]) -> np.ndarray | None:
         """(n, 3) stiffness of elastic supports along each axis."""
         axes = [np.array([axis in table.axes for axis in "xyz"], dtype=float) for table in tables]

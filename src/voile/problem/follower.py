@@ -8,11 +8,13 @@ from voile.problem.shell import Shell, area_vectors
 
 def pressure_origin(shell: Shell) -> np.ndarray | None:
     """(3,) a point against which pressure has the potential -p V, V the volume between it and the surface; None where
-    there is none.
+    there is none, as for patches of it.
 
     Sliding the rim changes V by the triangles from it to the point, which is not work of the pressure. They have no
     volume where each edge of the rim stays in a plane through the point, as on planes of symmetry.
     """
+    if shell.patch_pressure is not None:
+        return None
     rim = shell.topology.edges[shell.topology.boundary_edges]
     fixed = shell.fixed[rim]
     rim, fixed = rim[~fixed.all(axis=(1, 2))], fixed[~fixed.all(axis=(1, 2))]
@@ -27,17 +29,17 @@ def pressure_origin(shell: Shell) -> np.ndarray | None:
     return origin if within.any(axis=1).all() else None
 
 
-def pressure_energy(x: np.ndarray, part: Part, pressure: float, origin: np.ndarray) -> float:
+def pressure_energy(x: np.ndarray, part: Part, origin: np.ndarray) -> float:
     """-p V (J) with V the volume from the origin to this rank's surface at x (vertices, 3), the sum of
     x0.(x1 x x2)/6."""
     corner = x[part.corners] - origin
     volume = np.einsum("ti,ti->t", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
-    return -pressure * float(volume @ part.weight)
+    return -float((part.pressure * volume) @ part.weight)
 
 
-def pressure_force(x: np.ndarray, part: Part, pressure: float) -> np.ndarray:
+def pressure_force(x: np.ndarray, part: Part) -> np.ndarray:
     """(3 vertices,) forces p A n / 3 at each corner (N)."""
-    share = area_vectors(x, part.corners) * (pressure / 6.0)
+    share = area_vectors(x, part.corners) * (part.pressure / 6.0)[:, None]
     force = np.zeros((len(part.vertex), 3))
     for k in range(3):
         np.add.at(force, part.corners[:, k], share)

@@ -84,6 +84,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         clamped_edges=_edges(topology, clamps, solid[triangle]),
         gravity=shell.gravity,
         pressure=shell.pressure,
+        patch_pressure=None if shell.patch_pressure is None else shell.patch_pressure[triangle],
         force=None if shell.force is None else prolongation.gather(shell.force),
         load_laws=shell.load_laws,
         extra_mass=None if shell.extra_mass is None else prolongation.gather(shell.extra_mass),

@@ -18,20 +18,20 @@ LOADS = ("gravity", "pressure", "force", "moment")
 
 
 class Loads(Term):
-    """Minus the work of the loads. gravity (3,) m/s^2; pressure (Pa, follows the normal); origin (3,) of the volume
-    under it, None where it has no potential; laws in time by LOADS, by default in proportion; `share`: of all that
-    acts. Moments turn triangles of `elastic`'s kernel."""
+    """Minus the work of the loads. gravity (3,) m/s^2; pressed: there is pressure; origin (3,) of the volume under
+    it, None where it has no potential; laws in time by LOADS, by default in proportion; `share`: of all that acts.
+    Moments turn triangles of `elastic`'s kernel."""
 
     def __init__(
         self,
         part: Part,
         elastic: Elastic,
         gravity: np.ndarray,
-        pressure: float,
+        pressed: bool,
         origin: np.ndarray | None,
         laws: Mapping[str, Load] | None = None,
     ):
-        self.part, self.elastic, self.gravity, self.pressure = part, elastic, gravity, pressure
+        self.part, self.elastic, self.gravity, self.pressed = part, elastic, gravity, pressed
         self.laws = {name: Load() for name in LOADS} | dict(laws or {})
         self.origin = np.zeros(3) if origin is None else origin
         self.moments = EndMoments(part) if part.moment.any() else None
@@ -65,9 +65,7 @@ class Loads(Term):
         count, rows = len(at.displacement), np.repeat(self.own, 3)
         work = {
             "gravity": float(np.dot(self.weight[:count] * rows, at.displacement)),
-            "pressure": -pressure_energy(at.positions, self.part, self.pressure, self.origin)
-            if self.pressure
-            else 0.0,
+            "pressure": -pressure_energy(at.positions, self.part, self.origin) if self.pressed else 0.0,
             "force": float(np.dot(self.part.force[:count] * rows, at.displacement)),
         }
         return {name: -self.factor(name, at.time) * value for name, value in work.items()}
@@ -76,8 +74,8 @@ class Loads(Term):
         total = (
             self.factor("gravity", at.time) * self.weight + self.factor("force", at.time) * self.part.force
         )
-        if self.pressure:
-            force = pressure_force(at.positions, self.part, self.pressure)
+        if self.pressed:
+            force = pressure_force(at.positions, self.part)
             total[: len(at.u)] += self.factor("pressure", at.time) * force
         if self.moments:
             total += self.factor("moment", at.time) * self.moments.forces(self.elastic.kernel, at.u)
@@ -91,8 +89,8 @@ class Loads(Term):
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         """The derivative of the pressure's forces, which is indefinite."""
-        if self.pressure and kind != "safe":
-            pressure = self.factor("pressure", at.time) * self.pressure
+        if self.pressed and kind != "safe":
+            pressure = self.factor("pressure", at.time) * self.part.pressure
             _kernels.add_pressure_hessian(scatter, self.part.corners, at.positions, -pressure)
 
     def skew_forces(self, motion: np.ndarray, time: float) -> np.ndarray | None:

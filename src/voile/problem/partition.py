@@ -46,6 +46,7 @@ class Part:
     force: np.ndarray
     mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
     moment: np.ndarray
+    pressure: np.ndarray  # (m,) Pa
     springs: np.ndarray  # (vertices, 3) N/m, empty without
     bars: (
         np.ndarray
@@ -199,6 +200,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     mine = np.column_stack([3 * triangle_local[held // 3] + held % 3, mine[:, 1:]])
     force = np.zeros((n, 3)) if shell.force is None else shell.force
     moment = np.zeros((len(shell.triangles), 3)) if shell.moment is None else shell.moment.reshape(-1, 3)
+    patch = shell.patch_pressure
     counted = numbering.node_owner[shell.triangles[triangles, 0]] == rank
     fabric = np.stack([a[triangles] for a in (shell.thickness, shell.young, shell.poisson, shell.density)])
     return Part(
@@ -223,6 +225,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=_mass(shell)[dofs],
         moment=moment[triangles].ravel(),
+        pressure=shell.pressure + (np.zeros(len(triangles)) if patch is None else patch[triangles]),
         springs=np.zeros((0, 3)) if shell.springs is None else shell.springs[vertex],
         bars=_bars(shell, vertex_local, numbering.node_owner, rank),
         extra_mass=np.zeros(len(vertex)) if shell.extra_mass is None else shell.extra_mass[vertex],

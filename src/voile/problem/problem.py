@@ -41,9 +41,9 @@ class Problem:
         self.comm, self.shell = comm, shell
         settings = None
         if shell is not None:
-            gravity, pressure = np.asarray(shell.gravity, float), float(shell.pressure)
-            origin = pressure_origin(shell) if pressure else np.zeros(3)
-            loads = gravity, pressure, origin, shell.load_laws
+            gravity, pressed = np.asarray(shell.gravity, float), shell.pressed
+            origin = pressure_origin(shell) if pressed else np.zeros(3)
+            loads = gravity, pressed, origin, shell.load_laws
             settings = shell.model, shell.flat, loads, shell.moment is None
         self.model, flat, loads, no_moments = comm.bcast(settings)
         self.conservative = loads[2] is not None and no_moments

@@ -26,6 +26,7 @@ class Shell:
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
     weight x_second. Loads at time 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
+    patch_pressure (m,) Pa beside it, None without.
     springs (n, 3): stiffness (N/m) of elastic supports along each axis, to where the vertices start. bars (b, 4): two
     vertices, stiffness (N/m) and length (m) of each. extra_mass (n,) kg beside the fabric's.
     moves: further motions of supports, of which vertices, along their Dirichlet axes.
@@ -54,6 +55,7 @@ class Shell:
     weight: np.ndarray = field(default_factory=lambda: np.zeros(0))
     gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     pressure: float = 0.0
+    patch_pressure: np.ndarray | None = None
     force: np.ndarray | None = None
     moment: np.ndarray | None = None
     moves: tuple[tuple[np.ndarray, Motion], ...] = ()
@@ -65,6 +67,11 @@ class Shell:
     bars: np.ndarray | None = None
     extra_mass: np.ndarray | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
+
+    @property
+    def pressed(self) -> bool:
+        """Whether there is any pressure."""
+        return self.pressure != 0.0 or self.patch_pressure is not None
 
     def __post_init__(self) -> None:
         self.topology = self.topology or build_topology(self.triangles)

@@ -131,7 +131,7 @@ def _free_modes(shell: Shell, vertices: np.ndarray) -> np.ndarray:
 def _describe(shell: Shell, modes: np.ndarray) -> str:
     """What of the free modes the load does not hold; empty if it holds all."""
     gravity = np.asarray(shell.gravity, dtype=float)
-    loaded = bool(gravity.any() or shell.pressure or shell.force is not None or shell.moment is not None)
+    loaded = bool(gravity.any() or shell.pressed or shell.force is not None or shell.moment is not None)
     # combinations of the modes that do not rotate
     u, s, _ = np.linalg.svd(modes[:, 3:])
     still = u[:, np.sum(s > 1e-9) :].T @ modes
@@ -143,7 +143,7 @@ def _describe(shell: Shell, modes: np.ndarray) -> str:
             + ", ".join(_direction(m[3:]) for m in modes)
             + ", and there is no load to hold it"
         )
-    if gravity.any() and not (shell.pressure or shell.force is not None or shell.moment is not None):
+    if gravity.any() and not (shell.pressed or shell.force is not None or shell.moment is not None):
         down = gravity / np.linalg.norm(gravity)
         turned = np.linalg.lstsq(modes[:, 3:].T, down, rcond=None)[0] @ modes
         if np.linalg.norm(turned[3:] - down) < 1e-9 and abs(turned[:3] @ down) < 1e-9:

@@ -69,6 +69,12 @@ class Moment:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Patch:
+    group: str = key(Text(filled=True), "group of the mesh that it acts on")
+    pressure: float = key(Number("Pa"), "along the normal, which it follows, beside loads.pressure")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Loads:
     gravity: Vector3 = key(vector("m/s^2"), "acceleration of gravity", default=(0.0, -9.81, 0.0))
     pressure: float = key(Number("Pa"), "pressure along the normal, which it follows", default=0.0)
@@ -80,10 +86,11 @@ class Loads:
     )
     history: tuple[tuple[float, ...], ...] = key(
         Array(Array(Number(), length=2)),
-        "dynamics: (t, factor) on gravity, pressure, forces and moments, linear between",
+        "dynamics: (t, factor) on gravity, pressures, forces and moments, linear between",
         default=(),
     )
     force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
+    patch: tuple[Patch, ...] = key(Tables(Patch), "pressures on groups", default=())
     moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
 
     def check(self, given: set[str]) -> None:

@@ -48,6 +48,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             clamped_edges=np.zeros(0, dtype=np.int32),
             gravity=np.zeros(3),
             pressure=0.0,
+            patch_pressure=None,
             force=None,
             moment=None,
             springs=None,
