@@ -3,8 +3,8 @@
 
 spack repo add packaging/spack
 spack install voile
-Spack has no libigl, ipctk and ezdxf for Python (bodies as meshes, self-contact, patterns as DXF). After `spack load voile`,
-`pip install --no-deps libigl ipctk ezdxf` into the environment that is loaded.
+Spack has no libigl, ipctk and ezdxf for Python (bodies as meshes, self-contact, patterns as DXF). After
+`spack load voile`: `pip install --no-deps libigl ipctk ezdxf` into the environment that is loaded.
 """
 
 import os
