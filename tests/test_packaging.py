@@ -10,8 +10,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from test_film import write
 
 import voile
+from voile.cli import main
 
 ROOT = Path(__file__).parents[1]
 PACKAGING = ROOT / "packaging"
@@ -102,6 +104,14 @@ def test_a_complete_study_has_no_array(tmp_path):
     assert not any("--array" in line for line in log)
     done, log = submit(tmp_path, "a study.toml")
     assert done.returncode == 2 and "submit-study STUDY.toml OUT" in done.stderr
+
+
+@pytest.mark.parametrize(("command", "module"), [("report", "matplotlib"), ("render", "pyvista")])
+def test_a_plain_install_says_what_it_lacks(tmp_path, monkeypatch, capsys, command, module):
+    write(tmp_path, [0.0, 0.5])
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main([command, str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"voile: needs {module}: pip install 'voile[pictures]'\n"
 
 
 @pytest.mark.slow

@@ -9,6 +9,14 @@ from voile.commands import all_commands
 from voile.errors import InputError, NotConverged
 from voile.launch import without_launcher
 
+# modules that a plain install lacks -> the extra of pyproject.toml that brings them
+EXTRAS = {
+    "pyvista": "pictures",
+    "matplotlib": "pictures",
+    "av": "pictures",
+    "PIL": "pictures",
+    "gmsh": "meshes",
+}
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
@@ -33,6 +41,9 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:
         if args.debug:
             raise
+        if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
+            print(f"voile: needs {error.name}: pip install 'voile[{EXTRAS[error.name]}]'", file=sys.stderr)
+            return 1
         print(f"voile: {type(error).__name__}: {error}  (--debug shows where)", file=sys.stderr)
         if "mpi4py.MPI" in sys.modules and sys.modules["mpi4py.MPI"].COMM_WORLD.size > 1:
             traceback.print_exc()
