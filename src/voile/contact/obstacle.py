@@ -21,6 +21,7 @@ class Obstacle:
     """
 
     shape: ClassVar[str]
+    flat: ClassVar[bool] = False  # its normals are all the same
     name: str = "obstacle"
     friction: float = 0.0
     restitution: float = 0.0

@@ -31,6 +31,7 @@ __all__ = ["SHAPES", "Motion", "Obstacle"]
 class Plane(Obstacle, shape="plane"):
     """Half space below a point, `normal` pointing out of it."""
 
+    flat = True
     point: np.ndarray = key(vector("m"), "a point of it")
     normal: np.ndarray = key(vector(nonzero=True), "outward direction, any length")
 

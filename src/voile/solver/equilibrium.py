@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from voile.problem.contact import contact_of
 from voile.problem.imperfection import perturb
 from voile.problem.problem import Problem
+from voile.solver.balance import unbalanced
 from voile.solver.cascade import Cascade, attempt
 from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
@@ -103,6 +104,8 @@ class Solver:
         if _carried_through(problem, y):
             reason = "supports carry layers of the shell through each other in one load step"
             return Outcome(False, "", reason)
+        if sliding := unbalanced(problem, y, wanted):
+            return Outcome(False, "", sliding, gone=True)
         outcome = attempt(by, problem, y, wanted)
         if outcome.converged:
             self.norm = outcome.norm or float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))

@@ -18,6 +18,7 @@ from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
+from voile.solver.balance import slides
 from voile.solver.cascade import attempt
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome, Workspace
@@ -239,12 +240,6 @@ def _driven(problem: Problem) -> float:
 
 
 def _slides(problem: Problem, step: PETSc.Vec) -> str:
-    """Which way the shell leaves, on what."""
+    """Which way the shell leaves with a step."""
     own = problem.motion(step)[problem.own]
-    total = problem.comm.allreduce(own.sum(axis=0))
-    way = total / max(float(np.linalg.norm(total)), 1e-300)
-    bodies = ", ".join(f"{name} (friction {mu:g})" for name, mu in contact_of(problem).frictions)
-    return (
-        f"the shell slides or falls: no equilibrium within its own size; it moves along "
-        f"({way[0]:.3f}, {way[1]:.3f}, {way[2]:.3f}) past {bodies}"
-    )
+    return slides(problem, "no equilibrium within its own size", problem.comm.allreduce(own.sum(axis=0)))
