@@ -21,7 +21,6 @@ from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
-TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
 TURNED = 0.5  # cosine of the turn between normals that are on different sides of a body
 CLEAR = 0.02  # sizes: a gap from which it does not end there
@@ -43,16 +42,23 @@ class Contact(NaturalMap):
         return share
 
     def inside_between(
-        self, x: np.ndarray, began: float, moved: np.ndarray, ended: float, shares: np.ndarray, size: float
+        self,
+        x: np.ndarray,
+        began: float,
+        moved: np.ndarray,
+        ended: float,
+        shares: np.ndarray,
+        size: float,
+        touching: float,
     ) -> np.ndarray:
         """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
         time `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
-        (m): the shell's."""
+        (m): the shell's; touching: sizes that no depth is."""
         start, way = time.perf_counter(), moved - x
         length, inside = np.linalg.norm(way, axis=1), np.zeros(len(x), dtype=bool)
         for k in range(len(self.obstacles)):
             ends_here = self.gap(k, moved, ended) < CLEAR * size
-            depth = TOUCHING * size + SLID * length * ends_here
+            depth = touching * size + SLID * length * ends_here
             for share in shares:
                 inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
         self.seconds += time.perf_counter() - start

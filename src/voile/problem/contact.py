@@ -18,6 +18,7 @@ from voile.problem.problem import Problem
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
 
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
+TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
@@ -195,12 +196,16 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: np.ndarray, before: np.nda
     return dict(zip(("friction", "impact", "obstacles", "total"), problem.comm.allreduce(found), strict=True))
 
 
-def leads_through(problem: Problem, before: np.ndarray, began: float, after: np.ndarray) -> bool:
+def leads_through(
+    problem: Problem, before: np.ndarray, began: float, after: np.ndarray, touching: float = TOUCHING
+) -> bool:
     """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
-    present one, leads a vertex through an obstacle."""
+    present one, leads a vertex through an obstacle, deeper than `touching` (sizes of the shell)."""
     farthest = problem.in_sizes(np.linalg.norm(after - before, axis=1))
     shares = np.linspace(0.0, 1.0, min(int(farthest / SAMPLED), MOST_SAMPLES) + 1)[1:-1]
-    inside = contact_of(problem).inside_between(before, began, after, problem.time, shares, problem.size())
+    inside = contact_of(problem).inside_between(
+        before, began, after, problem.time, shares, problem.size(), touching
+    )
     return not problem.everywhere(not inside.any())
 
 

@@ -75,8 +75,10 @@ class Solver:
         contact = contact_of(problem)
         near: list[Method] = [tied, first]
         later: list[Method] = [transient]
+        if problem.held:  # or else it is made again in such steps
+            later = [self.watched, transient]
         if problem.supported:  # what nothing holds has no least potential
-            later = [AugmentedLagrangian(descent, self.semismooth, off), transient]
+            later = [AugmentedLagrangian(descent, self.semismooth, off), *later]
         if options.first == "newton":
             near = [first, *self._nested(transient, options), tied]
             if not contact.itself and (problem.moves or contact.moves):
@@ -104,6 +106,10 @@ class Solver:
         if _carried_through(problem, y):
             reason = "supports carry layers of the shell through each other in one load step"
             return Outcome(False, "", reason)
+        force = problem.create_vector()
+        problem.residual(y, force)
+        if not math.isfinite(force.norm()):
+            return Outcome(False, "", "supports strain the shell beyond what its model can in one load step")
         if sliding := unbalanced(problem, y, wanted):
             return Outcome(False, "", sliding, gone=True)
         outcome = attempt(by, problem, y, wanted)

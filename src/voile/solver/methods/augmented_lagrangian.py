@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
-from voile.problem.contact import contact_of
+from voile.problem.contact import contact_of, leads_through
 from voile.problem.imperfection import perturb
 from voile.problem.problem import Problem
 from voile.solver.cascade import attempt
@@ -19,16 +19,36 @@ from voile.solver.methods.steps import to_round_off
 
 @dataclass
 class Options:
-    """updates of the reactions. roughest: first tolerance of the descents over the last. softest: contact's stiffness
-    in the first descent over the shell's, so that its front moves over many vertices at once; hardening: its factor
-    per update. Seven sheets whose supports move took 13,700 factorisations from 1e-4, 8,000 from 1e-2, more from 1;
-    others as many. iterations of a descent."""
+    """updates of the reactions. roughest: first tolerance of the descents over the last, a hundredth of the loads.
+    softest: contact's stiffness in the first descent over the shell's, so that its front moves over many vertices at
+    once; hardening: its factor per update. Seven sheets whose supports move took 13,700 factorisations from 1e-4,
+    8,000 from 1e-2, more from 1; others as many. iterations of a descent. astray: sizes of the shell, a depth in an
+    obstacle on the straight way, looked at every so many iterations: of 15 everyday scenes all and only those came so
+    deep that pseudo-time had to solve again.
+    """
 
     updates: int = 15
-    roughest: float = 30.0
+    roughest: float = 1e6
     softest: float = 1e-2
     hardening: float = 100.0
     iterations: int = 300
+    astray: float = 0.02
+    looks: int = 4
+
+
+class Astray:
+    """Tells whether a descent has led the shell through an obstacle, on the straight way since the start of the load
+    step: soft contact lets it through, or it went around."""
+
+    def __init__(self, problem: Problem, options: Options):
+        self.problem, self.options, self.calls = problem, options, 0
+
+    def __call__(self, y: PETSc.Vec) -> bool:
+        self.calls += 1
+        if self.calls % self.options.looks:
+            return False
+        problem, began = self.problem, contact_of(self.problem).history
+        return leads_through(problem, began.reference, began.time, problem.positions(y), self.options.astray)
 
 
 class AugmentedLagrangian:
@@ -57,7 +77,8 @@ class AugmentedLagrangian:
             perturb(problem, y, self.perturbation)
         for _ in range(options.updates):
             held = problem.with_terms(potential)
-            done = self.descent.run(held, y, max(tolerance, rough), options.iterations)
+            astray = Astray(held, options) if problem.held else None
+            done = self.descent.run(held, y, max(tolerance, rough), options.iterations, astray)
             if not done and not to_round_off(held, y, self.descent.nonlinear.norm, max(tolerance, rough)):
                 return Outcome(False, self.name, self.descent.nonlinear.missed(y))
             potential.update(problem.point(y))

@@ -62,6 +62,7 @@ class Descent:
         self.iteration = Iterate(self)
         self.nonlinear = Nonlinear(work, prefix, self.iteration)
         self.settled: Callable[[list[Step]], bool] | None = None  # another test of convergence
+        self.hopeless: Callable[[PETSc.Vec], bool] | None = None  # and one of divergence
         self.stalled = False
         self.negative: int | None = None
 
@@ -76,9 +77,17 @@ class Descent:
             return Outcome(True, self.name)
         return Outcome(False, self.name, self.nonlinear.missed(y))
 
-    def run(self, problem: Problem, y: PETSc.Vec, tolerance: float, most: int | None = None) -> bool:
-        """Whether the residual's norm came under the tolerance (N) within `most` iterations; y ends where they end."""
-        self.stalled, self.negative = False, None
+    def run(
+        self,
+        problem: Problem,
+        y: PETSc.Vec,
+        tolerance: float,
+        most: int | None = None,
+        hopeless: Callable[[PETSc.Vec], bool] | None = None,
+    ) -> bool:
+        """Whether the residual's norm came under the tolerance (N) within `most` iterations and before an iterate was
+        `hopeless`; y ends where they end."""
+        self.stalled, self.negative, self.hopeless = False, None, hopeless
         return self.nonlinear.run(problem, y, tolerance, most or self.options.iterations)
 
 
@@ -130,6 +139,8 @@ class Iterate:
             reason = test(snes, it, y, direction, norm)
             if not reason and self.method.settled and self.method.settled(self.steps):
                 reason = _REASON.CONVERGED_ITS
+            if not reason and self.method.hopeless and self.method.hopeless(y):
+                reason = _REASON.DIVERGED_LOCAL_MIN
             if not reason and stall.reached(problem, y, norm):
                 self.method.stalled, reason = True, _REASON.DIVERGED_LINE_SEARCH
         snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)

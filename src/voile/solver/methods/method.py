@@ -22,7 +22,7 @@ REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isins
 class Outcome:
     """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
     saddle: an unstable one found instead; norm: of the residual and of what the laws miss at the end (N), where the
-    method knows it."""
+    method knows it; watched: no step on the way led through an obstacle."""
 
     converged: bool
     method: str
@@ -30,6 +30,7 @@ class Outcome:
     gone: bool = False
     saddle: State | None = None
     norm: float | None = None
+    watched: bool = False
 
 
 class Method(Protocol):

@@ -7,12 +7,14 @@ import numpy as np
 
 @dataclass
 class Options:
-    """easy: Newton iterations up to which a load step grows. snap: of the load steps' length; a jump in less is a
-    snap. restless: snaps from which their onset is not looked for. quiet: of the load steps' length, a step without a
-    snap from which it is again. smallest: load step that is not cut any more. hopeless: cuts in all after the last
-    resort, where every success is followed by a failure (a shell too soft for its weight)."""
+    """easy: Newton iterations up to which a load step grows. smooth: steps in a row without a cut or a jump after which
+    the next one grows whatever they took, for a folded sheet never takes few. snap: of the load steps' length; a jump
+    in less is a snap. restless: snaps from which their onset is not looked for. quiet: of the load steps' length, a
+    step without a snap from which it is again. smallest: load step that is not cut any more. hopeless: cuts in all
+    after the last resort, where every success is followed by a failure (a shell too soft for its weight)."""
 
     easy: int = 10
+    smooth: int = 2
     snap: float = 1.0 / 64.0
     restless: int = 4
     quiet: float = 0.25
@@ -26,8 +28,8 @@ class StepControl:
 
     nominal: length of the first step; most: cuts until the last resort, every method at once; cap: of any step, by
     default the nominal length. rate: motion in sizes of the shell per load factor; stable: whether it starts from a
-    stable equilibrium; snaps since the last longer step without one; failures after the last resort. marks: load
-    factors that a step ends at, ascending, the last one 1.
+    stable equilibrium; snaps since the last longer step without one; failures after the last resort; row: steps
+    since the last cut, jump or growth. marks: load factors that a step ends at, ascending, the last one 1.
     """
 
     nominal: float
@@ -40,6 +42,7 @@ class StepControl:
     snaps: int = 0
     failures: int = 0
     marks: tuple[float, ...] = (1.0,)
+    row: int = 0
 
     def __post_init__(self) -> None:
         self.options = Options()
@@ -71,6 +74,7 @@ class StepControl:
         """After a step without an equilibrium: a shorter one, or that of the last resort."""
         self.failures += self.last_resort
         self.cuts += 1
+        self.row = 0
         self.step = self.longest if self.cuts == self.most else 0.25 * self.step
 
     def whole(self) -> None:
@@ -80,6 +84,7 @@ class StepControl:
     def take_back(self) -> None:
         """After a step that has to be taken back."""
         self.step = self.longest = 0.25 * (self.target - self.factor)
+        self.row = 0
 
     def done(self, iterations: int, moved: float, jumps: bool) -> None:
         """After a step with so many iterations and such a motion."""
@@ -87,10 +92,12 @@ class StepControl:
         quiet = not jumps and self.target - self.factor >= self.options.quiet * self.nominal
         self.snaps = 0 if quiet else self.snaps + jumps
         self.cuts = 0
+        self.row = 0 if jumps else self.row + 1
         self.advanced(iterations)
 
     def advanced(self, iterations: int) -> None:
         """As `done` where nothing but the load matters; what followed no branch once is not tried again."""
         self.factor, self.longest = self.target, self.nominal
-        if iterations <= self.options.easy:
+        if iterations <= self.options.easy or self.row >= self.options.smooth:
+            self.row = 0
             self.step = min(2.0 * self.step, self.cap or self.nominal)

@@ -89,7 +89,7 @@ class LoadPath:
                     return
                 continue
             if problem.contact:
-                finished = self._judge(done, start)
+                finished = self._judge(done, start, outcome.watched)
                 if finished is None:
                     continue
                 done = finished
@@ -147,7 +147,7 @@ class LoadPath:
         """The equilibrium at the problem's load factor; no step where there is none. by: a method of the solver,
         to be made sharper by `then`, or itself."""
         problem, solver, y = self.problem, self.solver, self.y
-        before, method = solver.work.counts.iterations, ""
+        before, method, watched = solver.work.counts.iterations, "", False
         for _ in range(self.options.rounds):  # loads that follow, and reactions, are others at the end
             wanted = tolerance(problem, y, self.asked)
             outcome = solver.solve(problem, y, wanted, (method and then) or by)
@@ -156,6 +156,7 @@ class LoadPath:
                 self.path.seconds |= {"contact": problem.contact.seconds}
             if not outcome.converged:
                 return None, outcome
+            watched = outcome.watched if not method else watched
             method = method or outcome.method  # the first one found it, later ones only sharpen it
             if outcome.reason or solver.norm <= tolerance(problem, y, self.asked):  # a reason: to round-off
                 break
@@ -172,21 +173,25 @@ class LoadPath:
             method,
             outcome.reason or "residual below tolerance",
         )
-        return done, outcome
+        return done, replace(outcome, watched=watched)
 
-    def _judge(self, done: LoadStep, start: State) -> LoadStep | None:
-        """A converged step with contact: found again where it led through an obstacle, taken back (None) where it
-        jumped off its branch, brought to a stable end."""
+    def _judge(self, done: LoadStep, start: State, watched: bool) -> LoadStep | None:
+        """A converged step with contact: found again where it led through an obstacle, if it is not `watched` already,
+        taken back (None) where it jumped off its branch, brought to a stable end."""
         problem, y, control = self.problem, self.y, self.control
         assert start.history is not None
         began = start.history.reference
-        if problem.held and leads_through(problem, began, control.factor, problem.positions(y)):
+        if (
+            problem.held
+            and not watched
+            and leads_through(problem, began, control.factor, problem.positions(y))
+        ):
             again = self._around(start)
             done = again or replace(done, method=f"{done.method}, through an obstacle")
         moved = problem.largest_motion(difference(y, problem.unknowns_of(start)))
         stable = not self.asked.stability or done.negative == 0 or is_stable(self.solver.work, problem, y)
         jumps = moved > self.options.jump * self._expected() or (control.stable and not stable)
-        if jumps and not control.shortest:
+        if jumps and not (control.shortest or watched):
             problem.restore(y, start)
             self.problem = problem.at(control.factor)
             control.take_back()

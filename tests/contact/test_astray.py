@@ -1,0 +1,69 @@
+"""Held shells whose descent falls past an obstacle, slide far, or start beyond their model: everyday scenes."""
+
+import numpy as np
+import pytest
+from everyday import everyday
+from mpi4py import MPI
+
+from voile.problem.contact import with_obstacles
+from voile.problem.problem import Problem
+from voile.scene import read_scene
+from voile.solver.path import StaticsOptions
+from voile.solver.sewing import sew
+from voile.solver.statics import solve_statics
+from voile.solver.stepping.control import StepControl
+from voile.wiring import build_model
+
+
+def solved(seed: int, folder):
+    """The path and the problem of an everyday scene."""
+    model = build_model(read_scene(everyday(seed).write(folder)))
+    problem = with_obstacles(Problem(sew(model.shell, MPI.COMM_WORLD)), model.obstacles, model.offset)
+    return solve_statics(problem, StaticsOptions()), problem
+
+
+# With the factorisations of a descent to the end on the other side of the box or the drum: 666 and 641.
+@pytest.mark.parametrize("seed, most, energy", [(58, 450, -0.0437), (43, 350, -0.00426)])
+def test_a_descent_past_an_obstacle_is_given_up_at_once(seed, most, energy, tmp_path):
+    path, problem = solved(seed, tmp_path)
+    assert path.converged and path.stable and path.steps[-1].method == "pseudo-transient"
+    assert path.counts.factorisations < most
+    assert sum(problem.energies(path.state).values()) < energy
+    assert path.steps[-1].contact["max_penetration"] < 1e-10
+
+
+def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(tmp_path):
+    """Further than its own size, but it is held: this is no slide without an end, and no way through the ball."""
+    path, _ = solved(25, tmp_path)
+    assert path.converged and path.stable
+    assert all("through" not in step.method for step in path.steps)
+    first = path.steps[0]
+    assert first.method == "pseudo-transient" and first.factor == pytest.approx(0.1)
+    assert first.contact["max_penetration"] < 1e-10
+
+
+def test_supports_that_fold_the_shell_over_are_told_at_once(tmp_path):
+    """Edges that meet in one load step leave no shape: no method begins, and shorter steps are taken."""
+    path, _ = solved(29, tmp_path)
+    assert path.converged and path.stable
+    assert path.counts.factorisations < 900 and len(path.steps) > 10
+
+
+def test_steps_grow_again_after_two_without_trouble():
+    control = StepControl(0.1, 2)
+    control.take_back()
+    assert control.target == pytest.approx(0.025)
+    for factor, moved in ((0.025, 0.01), (0.05, 0.01)):
+        assert control.target == pytest.approx(factor)
+        control.done(100, moved, False)
+    assert control.step == pytest.approx(0.05)
+    control.done(100, 0.01, True)  # a snap
+    assert control.step == pytest.approx(0.05)
+    control.done(100, 0.01, False)
+    assert control.step == pytest.approx(0.05)
+    control.done(100, 0.01, False)
+    assert control.step == pytest.approx(0.1)
+    control.done(100, 0.01, False)
+    control.done(100, 0.01, False)
+    assert control.step == pytest.approx(0.1)  # the nominal length is the longest
+    assert np.isfinite(control.rate)
