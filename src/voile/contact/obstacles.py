@@ -39,6 +39,9 @@ class Plane(Obstacle, shape="plane"):
         n = normalised(self.normal)
         return (p - self.point) @ n, np.tile(n, (len(p), 1)), np.zeros((len(p), 3, 3))
 
+    def distance(self, p):
+        return (p - self.point) @ normalised(self.normal)
+
     def surface(self, bounds):
         """A rectangle below the bounds."""
         n = normalised(self.normal)
@@ -58,6 +61,9 @@ class Sphere(Obstacle, shape="sphere"):
         r, n = unit(p - self.center, np.array([0.0, 0.0, 1.0]))
         return r - self.radius, n, (np.eye(3) - outer(n, n)) / np.maximum(r, TINY)[:, None, None]
 
+    def distance(self, p):
+        return np.linalg.norm(p - self.center, axis=1) - self.radius
+
     def surface(self, bounds):
         points, triangles = unit_sphere()
         return self.center + self.radius * points, triangles
@@ -76,6 +82,9 @@ class Cylinder(Obstacle, shape="cylinder"):
         _, r, n = radial(p - self.center, a)
         across = np.eye(3) - np.outer(a, a) - outer(n, n)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
+
+    def distance(self, p):
+        return radial(p - self.center, normalised(self.axis))[1] - self.radius
 
     def surface(self, bounds):
         low, high = stretch(self.center, normalised(self.axis), bounds)
@@ -243,6 +252,12 @@ class Box(Obstacle, shape="box"):
         rounded = np.einsum("ni,ij->nij", (beyond > 0.0).astype(float), np.eye(3)) - outer(n, n)
         curvature = np.where(inside[:, None, None], 0.0, rounded / np.maximum(far, TINY)[:, None, None])
         return np.where(inside, beyond.max(axis=1), far), n, curvature
+
+    def distance(self, p):
+        d = p - self.center
+        beyond = np.abs(d) - self.sizes
+        far = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+        return np.where(far <= NOWHERE * np.linalg.norm(d, axis=1), beyond.max(axis=1), far)
 
     def surface(self, bounds):
         """Corners of their own on every face, so that shading shows the edges."""

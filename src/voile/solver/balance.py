@@ -6,7 +6,6 @@ planes' reactions may resist it, no shape of the shell is an equilibrium.
 
 import numpy as np
 from petsc4py import PETSc
-from scipy.optimize import nnls
 
 from voile.problem.contact import contact_of
 from voile.problem.problem import Problem
@@ -51,6 +50,11 @@ def unresisted(load: np.ndarray, normals: np.ndarray, frictions: np.ndarray) -> 
     """What planes (k, 3) at least leave of a load (3,) N, zero where they may bear it, and the normals (b, 3) of
     those that bear then. Least squares over rays of their cones, to which those are added that resist what
     is left."""
+    pressed = -normals @ load
+    if (np.linalg.norm(load + pressed[:, None] * normals, axis=1) <= frictions * pressed).any():
+        return np.zeros(3), normals  # one plane bears all
+    from scipy.optimize import nnls  # takes 0.1 s to load
+
     size, rays, of = float(np.linalg.norm(load)), np.zeros((0, 3)), np.zeros(0, dtype=int)
     left, shares = load, np.zeros(0)
     for _ in range(ROUNDS):
