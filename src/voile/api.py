@@ -26,7 +26,7 @@ import numpy as np
 
 import voile.results
 from voile.errors import InputError, NotConverged, on_root
-from voile.results import open_result, prepare_output, read_summary, result_file
+from voile.results import held_output, open_result, read_summary, result_file
 from voile.results.history import read_history
 from voile.scene import Scene, read_scene, unsupported
 
@@ -124,11 +124,13 @@ def run(
     *,
     petsc: Sequence[str] = (),
     progress: bool = False,
+    force: bool = False,
 ) -> Result:
     """Solves a scene of `load`, or what `load` takes. Collective over comm (default: all ranks); the result is on all
     of them.
 
-    output: folder for the result's files; without, the result is in memory. petsc: options for this run, such as
+    output: folder for the result's files; without, the result is in memory. It may hold results of the same scene file,
+    or of dicts; force: of others, too. petsc: options for this run, such as
     ["-snes_max_it", "50"]; PETSc's database is afterwards as before. progress: print what the command line prints.
     Raises InputError; NotConverged, whose `result` holds what was computed, None where that is nothing.
     """
@@ -150,7 +152,7 @@ def run(
     loaded, model = on_root(comm, prepare) or (None, None)
     loaded = comm.bcast(loaded)
     told = Progress(comm, quiet=not progress)
-    with _folder(output, comm) as folder:
+    with _folder(output, comm, loaded, force) as folder:
         failure = solve(loaded, model, folder, told, began, petsc=petsc, lasting=output is not None)
         found = _found(folder, loaded, comm, in_memory=output is None)
     gc.collect()  # what holds PETSc's objects goes round in circles
@@ -182,6 +184,7 @@ def solve(
     from voile import blas, signals
     from voile.petsc_options import options_of_run, unused_options
     from voile.problem.lifetime import run_of_its_own
+    from voile.results.folder import out_of_room
     from voile.tasks import Run
 
     if blas.used().note:
@@ -194,6 +197,11 @@ def solve(
                 failure = task.run(job)
         except NotConverged as reason:
             failure = str(reason)
+            job.refuse(failure)
+        except (OSError, InputError) as error:
+            failure = out_of_room(error)
+            if not failure:
+                raise
             job.refuse(failure)
         except KeyboardInterrupt:
             failure = "stopped by a signal"
@@ -217,10 +225,13 @@ def read(result: str | os.PathLike[str]) -> Result:
 
 
 @contextmanager
-def _folder(output: str | os.PathLike[str] | None, comm: MPI.Comm) -> Iterator[Path]:
+def _folder(
+    output: str | os.PathLike[str] | None, comm: MPI.Comm, scene: Scene, force: bool
+) -> Iterator[Path]:
     """Where a run writes: its output, or a folder that is gone afterwards."""
     if output is not None:
-        yield prepare_output(output, comm)
+        with held_output(output, comm, scene.path, scene.text, force) as folder:
+            yield folder
         return
     made = on_root(comm, lambda: tempfile.mkdtemp(prefix="voile-"))
     try:

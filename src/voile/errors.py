@@ -25,6 +25,10 @@ class NotConverged(RuntimeError):
         self.result = result
 
 
+class NotWritten(NotConverged):
+    """Results cannot be written any more: no room, no right. What was written before stays."""
+
+
 class Hinged(NotConverged):
     """Parts (joints, all vertices) of a target that turn freely about the one or two vertices that they hang by."""
 
@@ -45,3 +49,15 @@ def on_root(comm: "MPI.Comm", action: Callable[[], Any]) -> Any:
     if failure is not None:
         raise failure
     return outcome
+
+
+def on_all(comm: "MPI.Comm", action: Callable[[], None]) -> None:
+    """An action of every rank's own; the error of the first rank that has one on all of them."""
+    failure = None
+    try:
+        action()
+    except Exception as caught:
+        failure = caught
+    for found in comm.allgather(failure):
+        if found is not None:
+            raise found

@@ -17,6 +17,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, help="result folder (default: the scene's name + -result)"
     )
     parser.add_argument(
+        "--force", action="store_true", help="replace results of another scene in the result folder"
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on from the last complete step in the result folder"
     )
 
@@ -30,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     from mpi4py import MPI
 
     from voile import api
-    from voile.results import prepare_output
+    from voile.results import held_output
     from voile.results.restart import newest_step
     from voile.tasks import Progress
 
@@ -42,9 +45,9 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
     if args.resume:
         newest_step(folder, comm)
-    prepare_output(folder, comm)
     progress = Progress(comm)
-    failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, stoppable=True)
+    with held_output(folder, comm, args.scene, scene.text, args.force):
+        failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, stoppable=True)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

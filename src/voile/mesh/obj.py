@@ -251,7 +251,9 @@ def write_obj(
         parts += [f"stitch {i} {j} {k} {w!r}" for i, j, k, w in rows]
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text("\n".join(parts) + "\n", encoding="utf-8")
+        partial.unlink(missing_ok=True)  # a link is not followed
+        with open(partial, "x", encoding="utf-8") as file:
+            file.write("\n".join(parts) + "\n")
         os.replace(partial, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error

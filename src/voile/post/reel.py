@@ -40,7 +40,8 @@ def write_film(
     """
     part = out.with_name(f".{out.stem}.part{out.suffix}")
     try:
-        part.touch()
+        part.unlink(missing_ok=True)  # a link is not followed
+        part.touch(exist_ok=False)
         _WRITERS[out.suffix.lower()](part, _told(draw, count, on_frame), count, fps, size)
         os.replace(part, out)
     except OSError as error:

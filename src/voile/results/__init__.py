@@ -2,11 +2,12 @@
 
 from voile.mesh import Pattern, Piece
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
+from voile.results.folder import held_output, prepare_output
 from voile.results.pattern import read_pattern, write_pattern
 from voile.results.reader import Restart, Result, open_result, opened, read_result, result_file
 from voile.results.static import Body, StaticMesh
 from voile.results.summary import read_summary, write_summary
-from voile.results.writer import ResultWriter, prepare_output
+from voile.results.writer import ResultWriter
 
 __all__ = [
     "CELL_FIELDS",
@@ -19,6 +20,7 @@ __all__ = [
     "Result",
     "ResultWriter",
     "StaticMesh",
+    "held_output",
     "open_result",
     "opened",
     "prepare_output",

@@ -22,6 +22,11 @@ class Field:
     def row_shape(self) -> tuple[int, ...]:
         return (self.components,) if self.components else ()
 
+    @property
+    def row_size(self) -> int:
+        """Bytes of a row."""
+        return np.dtype(self.dtype).itemsize * max(1, self.components)
+
 
 POINT_FIELDS = {
     "start": Field("m", "position at the start of the run", 3),

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.errors import InputError
+from voile.errors import InputError, on_root
+from voile.results.folder import replace, told
 from voile.results.writer import import_h5py
 
 if TYPE_CHECKING:
@@ -53,26 +54,35 @@ class HistoryWriter:
         self._due = time.perf_counter() + PAUSE
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """One step; writes the file now and then."""
-        if self.comm.rank:
-            return
-        for name, value in row.items():
-            if name not in self._columns:
-                self._columns[name] = Column(np.empty((0, *np.shape(value)), np.asarray(value).dtype))
-            self._columns[name].append(value)
-        if time.perf_counter() > self._due:
-            self.write()
+        """One step; writes the file now and then. Collective."""
+
+        def add() -> None:
+            for name, value in row.items():
+                if name not in self._columns:
+                    self._columns[name] = Column(np.empty((0, *np.shape(value)), np.asarray(value).dtype))
+                self._columns[name].append(value)
+            if time.perf_counter() > self._due:
+                self._write()
+
+        on_root(self.comm, add)
 
     def write(self) -> None:
-        """Puts all rows into the file."""
-        if self.comm.rank or not self._columns:
+        """Puts all rows into the file. Collective."""
+        on_root(self.comm, self._write)
+
+    def _write(self) -> None:
+        if not self._columns:
             return
-        began, part = time.perf_counter(), self.path.with_name(f".{self.path.name}.part")
-        with self._h5py.File(part, "w", locking=False) as file:
+        began = time.perf_counter()
+        # made in memory: HDF5 does not survive a full disk
+        with self._h5py.File(self.path.name, "w", driver="core", backing_store=False) as file:
             group = file.create_group("voile/history")
             for name, values in self._columns.items():
                 group[name] = values.rows
-        os.replace(part, self.path)
+            file.flush()
+            image = file.id.get_file_image()
+        with told(self.path):
+            replace(self.path, image)
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
 
 

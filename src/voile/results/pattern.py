@@ -10,6 +10,7 @@ import numpy as np
 
 from voile.errors import InputError
 from voile.mesh import Notches, Pattern, Piece, SewnSeam
+from voile.results.folder import replace
 
 FILE = "pattern.json"
 VERSION = 1
@@ -19,9 +20,8 @@ def write_pattern(folder: str | Path, pattern: Pattern) -> None:
     """Write a pattern to a result's folder. InputError if that cannot be done."""
     path = Path(folder) / FILE
     try:
-        path.write_text(
-            json.dumps({"version": VERSION, **asdict(pattern)}, default=np.ndarray.tolist), encoding="utf-8"
-        )
+        text = json.dumps({"version": VERSION, **asdict(pattern)}, default=np.ndarray.tolist)
+        replace(path, text.encode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 

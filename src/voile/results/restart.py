@@ -6,14 +6,14 @@ leaves a set that fits together.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voile.errors import InputError, on_root
+from voile.errors import InputError, on_all, on_root
+from voile.results.folder import fresh, replace, told
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -25,17 +25,19 @@ def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, n
     """Replaces what is in the run's folder by each rank's arrays after a number of steps. Collective."""
     inside = folder / "restart"
     on_root(comm, lambda: inside.mkdir(exist_ok=True))
-    np.savez(inside / f"{step}-{comm.rank}.npz", **arrays)
-    comm.barrier()
+
+    def save() -> None:
+        with told(inside), fresh(inside / f"{step}-{comm.rank}.npz") as file:
+            np.savez(file, **arrays)
 
     def commit() -> None:
-        part = inside / ".last.part"
-        part.write_text(f"{step} {comm.size} {FORMAT}\n")
-        os.replace(part, inside / "last")
+        with told(inside):
+            replace(inside / "last", f"{step} {comm.size} {FORMAT}\n".encode())
         for old in inside.glob("*.npz"):
             if not old.name.startswith(f"{step}-"):
                 old.unlink()
 
+    on_all(comm, save)
     on_root(comm, commit)
 
 

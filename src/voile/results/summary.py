@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
+from voile.results.folder import replace
 
 
 def write_summary(path: str | os.PathLike[str], summary: dict[str, Any]) -> None:
@@ -16,10 +17,8 @@ def write_summary(path: str | os.PathLike[str], summary: dict[str, Any]) -> None
     numpy numbers and arrays become JSON numbers and lists. Raises ValueError naming the key of a number that
     is not finite (JSON has none), TypeError for a value JSON cannot hold; the old file then stays as it is.
     """
-    path = Path(path)
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(json.dumps(_plain(summary, ""), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    text = json.dumps(_plain(summary, ""), indent=2, allow_nan=False) + "\n"
+    replace(Path(path), text.encode("utf-8"))
 
 
 def read_summary(path: str | os.PathLike[str]) -> dict[str, Any]:

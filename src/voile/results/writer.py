@@ -23,12 +23,13 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.errors import InputError, on_root
+from voile.errors import InputError, NotWritten, on_all, on_root
 from voile.results.fields import (
     CELL_FIELDS,
     EDGE_ANGLES,
@@ -38,6 +39,7 @@ from voile.results.fields import (
     Field,
     find_field,
 )
+from voile.results.folder import reserve, set_aside, take, told
 from voile.results.slabs import Slabs
 from voile.results.static import OBSTACLES, StaticMesh, known, static_datasets
 
@@ -46,32 +48,9 @@ if TYPE_CHECKING:
 
 CAPACITY = 16  # steps, at first
 COPY_BYTES = 1 << 26  # per piece when a file is rebuilt
+TABLES = 1 << 17  # bytes of a file's tables, generously: 40 kB with all fields and 16 steps
 POINTS, EDGES = "VTKHDF/Points", "voile/edge_angles"
 STEPS, VALUES, OWN_VALUES = "VTKHDF/Steps", "VTKHDF/Steps/Values", "voile/values"
-
-
-def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
-    """Make the output directory and prove that it can be written, before anything is computed. Collective.
-
-    Touches no result that is there. Raises InputError on every rank.
-    """
-    directory = Path(directory)
-
-    def probe() -> None:
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            trial = directory / ".result.part"
-            with open(trial, "ab"):
-                pass
-            trial.unlink()
-        except OSError as error:
-            why = error.strerror or str(error)
-            raise InputError(
-                f"{directory}: cannot write results there ({why}); a writable directory expected"
-            ) from None
-
-    on_root(comm, probe)
-    return directory
 
 
 @dataclass(frozen=True)
@@ -121,13 +100,16 @@ class ResultWriter:
         self._stepped: dict[str, _Stepped] = {}
         self._capacity = CAPACITY
         self._file: Any = None
+        self._opened = self.path
         if goes_on is not None:
             self.steps, self._capacity = comm.bcast(on_root(comm, lambda: self._cut_after(goes_on)))
 
     def __enter__(self) -> ResultWriter:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind and issubclass(kind, NotWritten):  # no room for a smaller copy
+            self._close_file()
         self.close()
 
     def write_step(
@@ -168,21 +150,28 @@ class ResultWriter:
         for k, matrix in enumerate(() if placements is None else placements):
             single[f"{OBSTACLES}/{k}/placement"] = (np.ravel(matrix), PLACEMENT)
         self._open({path: _Stepped(n, spec) for path, (_, n, _, spec) in rows.items()}, single)
+        on_root(self.comm, self._make_room)
         slabs: dict[tuple[int, int], Slabs] = {}
         for path, (data, n, index, spec) in rows.items():
             plan = slabs.get((n, id(index)))
             if plan is None:
                 plan = slabs[n, id(index)] = Slabs(self.comm, n, index, gather=not self.parallel)
             slab = plan.move(np.asarray(data, dtype=spec.dtype).reshape(len(index), *spec.row_shape))
-            if self._file is not None:
-                begin = self.steps * n
-                self._file[path][begin + plan.begin : begin + plan.end] = slab
+            on_all(self.comm, partial(self._put, path, self.steps * n + plan.begin, slab))
         self._commit(value, single)
+
+    def _put(self, path: str, begin: int, rows: np.ndarray) -> None:
+        if self._file is not None:
+            with told(self.path):
+                self._file[path][begin : begin + len(rows)] = rows
 
     def close(self) -> None:
         """Close the file, cut to the steps it holds. Collective; a second call does nothing."""
         if self.steps and self._stepped and self._capacity != self.steps:
             self._rebuild(self.steps)
+        self._close_file()
+
+    def _close_file(self) -> None:
         if self._file is not None:
             self._file.close()
         self._file, self._stepped = None, {}
@@ -231,10 +220,23 @@ class ResultWriter:
 
     def _reopen(self, path: Path) -> None:
         self.comm.barrier()
+        self._opened = path
         if self.parallel:
             self._file = self._h5py.File(path, "r+", driver="mpio", comm=self.comm)
         elif self.comm.rank == 0:  # no lock: ParaView may look on while the run goes
             self._file = self._h5py.File(path, "r+", locking=False)
+
+    def _make_room(self) -> None:
+        """Takes the room of the next step from the disk, so that HDF5, which does not survive a full one, finds it.
+        Its tables have theirs since the file was made."""
+        kept = f"; it holds {self.steps} complete steps" if self.steps else ""
+        with told(self.path, kept), open(self._opened, "r+b") as file:
+            for name, entry in self._stepped.items():
+                data = self._file[name] if self._file is not None else None
+                begin = data.id.get_offset() if data is not None else None
+                size = entry.rows * entry.spec.row_size
+                if begin is not None and size:
+                    take(file, begin + self.steps * size, size)
 
     def _commit(self, value: float, single: Mapping[str, tuple[Any, Field]]) -> None:
         """Make the step visible: NSteps goes up when all its rows are in the file."""
@@ -254,11 +256,10 @@ class ResultWriter:
             self._file.flush()
         if self.steps == 1:
             on_root(self.comm, self._publish)
+            self._opened = self.path
 
     def _publish(self) -> None:
-        for old in (self.path, self.path.with_name("summary.json")):
-            if old.exists():
-                os.replace(old, old.with_name(f"{old.stem}.previous{old.suffix}"))
+        set_aside(self.path)
         os.replace(self._part, self.path)
 
     def _rebuild(self, capacity: int) -> None:
@@ -272,7 +273,7 @@ class ResultWriter:
                 names: list[str] = []
                 old.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
                 static = {name: old[name][()] for name in names if "static" in old[name].attrs}
-                self._create(self._part, capacity, static)
+                self._create(self._part, capacity, static, self.steps)
                 with self._h5py.File(self._part, "r+", locking=False) as new:
                     for path, entry in self._stepped.items():
                         _copy_rows(old[path], new[path], self.steps * entry.rows)
@@ -285,10 +286,15 @@ class ResultWriter:
         self._capacity = capacity
         self._reopen(self.path)
 
-    def _create(self, path: Path, capacity: int, static: Mapping[str, np.ndarray]) -> None:
-        """An empty result for `capacity` steps: all metadata, the static rows, room for the stepped ones."""
+    def _create(self, path: Path, capacity: int, static: Mapping[str, np.ndarray], steps: int = 0) -> None:
+        """An empty result for `capacity` steps: all metadata, the static rows, room for the stepped ones. `steps` of
+        them are to be written at once: the disk must have room for these."""
         h5py = self._h5py
-        with h5py.File(path, "w", locking=False) as file:
+        a_step = sum(entry.rows * entry.spec.row_size for entry in self._stepped.values())
+        with told(self.path):
+            reserve(path, sum(data.nbytes for data in static.values()) + steps * a_step + TABLES)
+        path.unlink()
+        with told(self.path), h5py.File(path, "x", locking=False) as file:
             head = file.create_group("VTKHDF")
             head.attrs["Version"] = np.array([2, 0], dtype=np.int64)
             head.attrs.create("Type", b"UnstructuredGrid", dtype=h5py.string_dtype("ascii", 16))
@@ -314,7 +320,9 @@ class ResultWriter:
         """The tables that say where each step's rows begin: static rows are read from 0 at every step."""
         steps = head.require_group("Steps")
         steps.attrs["NSteps"] = np.int64(0)
-        steps.create_dataset("Values", (1,), np.float64, maxshape=(capacity,), chunks=(capacity,))
+        early = self._h5py.h5p.create(self._h5py.h5p.DATASET_CREATE)
+        early.set_alloc_time(self._h5py.h5d.ALLOC_TIME_EARLY)
+        steps.create_dataset("Values", (1,), np.float64, maxshape=(capacity,), chunks=(capacity,), dcpl=early)
         zero = np.zeros(capacity, dtype=np.int64)
         step = np.arange(capacity, dtype=np.int64)
         steps["PartOffsets"], steps["NumberOfParts"] = zero, zero + 1

@@ -30,6 +30,7 @@ from voile.problem.shell import Shell
 from voile.problem.stress_fields import shell_fields
 from voile.problem.support_forces import support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
+from voile.results.folder import RESULT, SUMMARY, set_aside
 from voile.scene import Scene
 from voile.solver.path import LoadStep
 from voile.solver.path import Path as LoadPath
@@ -55,6 +56,7 @@ class Run:
     writing: float = 0.0  # s
     resumes: bool = False
     lasting: bool = True
+    stored: bool = False  # whether the folder's result is this run's
 
     # ---- from the scene to the problem ----
 
@@ -121,7 +123,10 @@ class Run:
             gather=not self.lasting,
             numbered=numbered,
         ) as writer:
-            yield writer
+            try:
+                yield writer
+            finally:
+                self.stored = self.stored or writer.steps > 0
 
     def supports(self, problem: Problem, path: LoadPath | TimePath) -> list[dict]:
         """What each [[fix]] exerts at the end of a path, on rank 0; nothing where nothing is held or computed.
@@ -165,14 +170,18 @@ class Run:
             "ranks": problem.comm.size,
             **more,
         }
-        write_summary(self.folder / "summary.json", summary)
+        self._tell(summary)
 
     def refuse(self, reason: str) -> None:
         """summary.json of a run that ended before anything was in equilibrium."""
         if self.model:
-            write_summary(
-                self.folder / "summary.json", {"converged": False, "reason": reason, **self._about()}
-            )
+            self._tell({"converged": False, "reason": reason, **self._about()})
+
+    def _tell(self, summary: dict[str, Any]) -> None:
+        """Writes summary.json; an earlier run's result must not be beside it."""
+        if not (self.stored or self.resumes):
+            set_aside(self.folder / RESULT)
+        write_summary(self.folder / SUMMARY, summary)
 
     def _about(self) -> dict:
         """What every summary tells of its run."""

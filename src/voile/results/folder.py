@@ -1,0 +1,234 @@
+"""The folder of a run: who may write there, what an earlier run left, and files that are written whole or not at all.
+
+`.voile-run` in it is locked (flock) while a run goes, by rank 0: the system ends the lock with the process, however
+that ends. It also says of which scene the results are.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from voile.errors import InputError, NotWritten, on_root
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+RECORD = ".voile-run"
+RESULT, SUMMARY = "result.vtkhdf", "summary.json"
+# What runs write, beside pictures: names that must not be those of folders.
+FILES = (
+    RECORD, RESULT, SUMMARY, "history.h5", "pattern.json", "pattern.svg", "pattern.dxf", "pattern.png", "rest.obj",
+    "developability.png",
+)  # fmt: skip
+SPARE = 1 << 16  # bytes kept for the summary: a hundred times a short one
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # of file systems without
+
+
+def prepare_output(directory: str | os.PathLike[str], comm: MPI.Comm) -> Path:
+    """Make the output directory and prove that it can be written, before anything is computed. Collective.
+
+    Touches no result that is there. Raises InputError on every rank.
+    """
+    directory = Path(directory)
+
+    def probe() -> None:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            trial = directory / ".result.part"
+            with fresh(trial):
+                pass
+            trial.unlink()
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise InputError(
+                f"{directory}: cannot write results there ({why}); a writable directory expected"
+            ) from None
+        for name in FILES:
+            if (directory / name).is_dir():
+                raise InputError(f"{directory / name}: a folder; runs write a file of that name")
+        if (directory / "restart").is_symlink() or (directory / "restart").is_file():
+            raise InputError(f"{directory / 'restart'}: no folder; runs write a folder of that name")
+
+    on_root(comm, probe)
+    return directory
+
+
+@contextmanager
+def held_output(
+    directory: str | os.PathLike[str],
+    comm: MPI.Comm,
+    scene: Path,
+    text: str,
+    force: bool = False,
+) -> Iterator[Path]:
+    """The output directory, made, and locked against other runs; refused where another scene's results are in it.
+
+    scene: its file; text: what results of it store. The same file may run there again, edited or with other overrides,
+    also where it moved together with the folder. force: what is there may be replaced. Collective; raises InputError.
+    """
+    directory = prepare_output(directory, comm)
+    record = on_root(comm, lambda: _locked(directory))
+    try:
+        on_root(comm, lambda: _claim(directory, record, scene, text, force))
+        yield directory
+    finally:
+        if record:
+            record.close()
+            (directory / f".{SUMMARY}.part").unlink(missing_ok=True)
+
+
+def set_aside(result: Path) -> None:
+    """Keeps a result that is there, with what belongs to it, as `*.previous.*`; without a result there is nothing."""
+    if not result.exists():
+        return
+    for old in (result, result.with_name(SUMMARY), result.with_name("history.h5")):
+        previous = old.with_name(f"{old.stem}.previous{old.suffix}")
+        if old.exists():
+            os.replace(old, previous)
+        else:
+            previous.unlink(missing_ok=True)  # of a run before
+
+
+def fresh(path: Path) -> IO[bytes]:
+    """A new file in place of what is there, for writing. A link that is there is removed, never followed."""
+    path.unlink(missing_ok=True)
+    return open(path, "xb")
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Puts data into a file, all or nothing. The room that `held_output` kept for a summary is used."""
+    part = path.with_name(f".{path.name}.part")
+    with _own(part) or fresh(part) as file:
+        file.write(data)
+        file.truncate()
+    os.replace(part, path)
+
+
+@contextmanager
+def told(path: Path, kept: str = "") -> Iterator[None]:
+    """What cannot be written within ends with NotWritten. HDF5's errors hold the system's words in theirs."""
+    try:
+        yield
+    except OSError as error:
+        found = re.search(r"error message = '(.*?)'", str(error))
+        why = found[1] if found else error.strerror or str(error)
+        raise NotWritten(f"{path}: cannot be written: {why}{kept}") from None
+
+
+def out_of_room(error: Exception) -> str:
+    """What to say where an error is, or comes from, a full disk; empty for others."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    full = isinstance(cause, OSError) and cause.errno in NO_ROOM
+    return f"results cannot be written: {error}" if full else ""
+
+
+def _own(part: Path) -> IO[bytes] | None:
+    """A file that is there, which no one else holds by a link: to be written from its beginning."""
+    try:
+        file = os.fdopen(os.open(part, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "wb")
+    except OSError:
+        return None
+    about = os.fstat(file.fileno())
+    if stat.S_ISREG(about.st_mode) and about.st_nlink == 1:
+        return file
+    file.close()
+    return None
+
+
+def reserve(path: Path, size: int) -> None:
+    """A new file of a size (bytes) whose room is taken from the disk. Raises OSError where there is none."""
+    with fresh(path) as file:
+        try:
+            take(file, 0, size)
+        except OSError:
+            path.unlink()
+            raise
+
+
+def take(file: IO[bytes], begin: int, size: int) -> None:
+    """Takes room for bytes of a file from the disk, whose contents stay. Raises OSError where there is none."""
+    try:
+        os.posix_fallocate(file.fileno(), begin, size)
+    except OSError as error:
+        if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # file systems that cannot tell
+            raise
+
+
+def _locked(directory: Path) -> IO[bytes]:
+    """The record of a folder, locked."""
+    path = directory / RECORD
+    try:
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be opened ({error.strerror}); a file of a run expected") from None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            who = _recorded(file).get("process", "another process")
+            file.close()
+            raise InputError(
+                f"{directory}: a run is writing there ({who}); allowed: another folder (-o), or wait for its end"
+            ) from None
+    return file
+
+
+def _recorded(file: IO[bytes]) -> dict[str, Any]:
+    """What a record says, {} where that is nothing."""
+    file.seek(0)
+    try:
+        found = json.loads(file.read(SPARE))
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _claim(directory: Path, record: IO[bytes], scene: Path, text: str, force: bool) -> None:
+    """Writes into a folder's record of which scene its results are; refuses where they are of another one."""
+    name = os.path.relpath(scene.resolve(), directory.resolve())
+    found = _recorded(record)
+    result = directory / RESULT
+    if not force and (result.exists() or (directory / SUMMARY).exists()):
+        if "scene" in found:
+            other = str(found["scene"])
+            same = other == name
+        else:
+            other = "another scene, or an edited one"
+            same = not result.exists() or stored_text(result).split("# --set")[0] == text.split("# --set")[0]
+        if not same:
+            raise InputError(
+                f"{directory}: holds results of {other!r}; allowed: another folder (-o), or --force to replace them"
+            )
+    record.seek(0)
+    record.write(
+        json.dumps({"scene": name, "process": f"process {os.getpid()} on {os.uname().nodename}"}).encode()
+    )
+    record.truncate()
+    record.flush()
+    try:
+        reserve(directory / f".{SUMMARY}.part", SPARE)
+    except OSError as error:
+        raise InputError(
+            f"{directory}: cannot write results there ({error.strerror}); a writable directory expected"
+        ) from None
+
+
+def stored_text(result: Path) -> str:
+    """The scene's text in a result file, empty where it cannot be read."""
+    from voile.results.reader import read_result
+
+    try:
+        with read_result(result) as read:
+            return read.scene_text
+    except InputError:
+        return ""

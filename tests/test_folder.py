@@ -1,0 +1,125 @@
+"""The folder of a run: one run at a time, results of one scene, files of its own only."""
+
+import fcntl
+import json
+import os
+
+import pytest
+
+from voile.cli import main
+from voile.results import read_result
+
+SCENE = """
+[shell]
+mesh = "strip.obj"
+young = 1e6
+thickness = 1e-3
+density = 300.0
+
+[[fix]]
+select = { box = [[-0.01, -1, -1], [0.06, 1, 1]] }
+"""
+STRIP = "\n".join(
+    [f"v {0.05 * i} {0.05 * j} 0" for i in range(5) for j in range(2)]
+    + [f"f {2 * i + a} {2 * i + b} {2 * i + c}" for i in range(4) for a, b, c in ((1, 3, 4), (1, 4, 2))]
+)
+
+
+@pytest.fixture
+def voile(tmp_path, capsys):
+    """voile(name, *arguments): runs a scene of that name into out; exit code and standard error."""
+    (tmp_path / "strip.obj").write_text(STRIP)
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.toml").write_text(SCENE)
+
+    def run(name, *arguments):
+        code = main(["run", str(tmp_path / f"{name}.toml"), "-o", str(tmp_path / "out"), *arguments])
+        return code, capsys.readouterr().err
+
+    run.folder = tmp_path / "out"
+    return run
+
+
+def test_a_second_run_in_a_folder_is_refused_while_the_first_goes(voile):
+    assert voile("one") == (0, "")
+    before = (voile.folder / "result.vtkhdf").read_bytes()
+    with open(voile.folder / ".voile-run") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        code, said = voile("one", "--force")
+    assert code == 2 and "out: a run is writing there (process " in said and said.count("\n") == 1
+    assert (voile.folder / "result.vtkhdf").read_bytes() == before
+    assert voile("one") == (0, "")  # the lock ended with who held it; its file stays
+
+
+def test_results_of_another_scene_stay_unless_forced(voile):
+    assert voile("one") == (0, "")
+    assert voile("one", "--set", "shell.young=2e6") == (0, "")
+    code, said = voile("other")
+    assert (
+        code == 2 and "out: holds results of '../one.toml'; allowed: another folder (-o), or --force" in said
+    )
+    assert "young=2e6" in read_result(voile.folder).scene_text
+    assert voile("other", "--force") == (0, "")
+    assert voile("one")[0] == 2
+
+
+def test_results_without_a_record_are_of_the_scene_that_they_hold(voile):
+    assert voile("one") == (0, "")
+    (voile.folder / ".voile-run").unlink()
+    assert voile("other") == (0, "")  # the same text
+    (voile.folder / ".voile-run").unlink()
+    (voile.folder.parent / "one.toml").write_text(SCENE.replace("1e6", "3e6"))
+    assert voile("one")[0] == 2
+
+
+def test_a_run_that_ends_before_its_first_step_leaves_no_older_result_beside_its_summary(voile, monkeypatch):
+    assert voile("one") == (0, "")
+    from voile.tasks import statics
+
+    def told(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(statics, "solve_statics", told)
+    for _ in range(2):
+        assert voile("one")[0] == 3
+        assert json.loads((voile.folder / "summary.json").read_text())["reason"] == "stopped by a signal"
+        assert not (voile.folder / "result.vtkhdf").exists()
+        assert json.loads((voile.folder / "summary.previous.json").read_text())["converged"]
+        assert read_result(voile.folder / "result.previous.vtkhdf").n_steps
+
+
+@pytest.mark.parametrize("how", ["symlink", "link", "fifo"])
+def test_prepared_files_are_not_written_through(voile, tmp_path, how):
+    (tmp_path / "precious").write_text("precious")
+    voile.folder.mkdir()
+    for name in (
+        ".result.vtkhdf.part",
+        ".summary.json.part",
+        ".result.part",
+        "summary.json",
+        "result.vtkhdf",
+    ):
+        if how == "fifo":
+            os.mkfifo(voile.folder / name)
+        else:
+            getattr(os, how)(tmp_path / "precious", voile.folder / name)
+    assert voile("one", "--force")[0] == 0
+    assert (tmp_path / "precious").read_text() == "precious"
+    assert read_result(voile.folder).n_steps
+    assert not list(voile.folder.glob(".*part"))
+
+
+@pytest.mark.parametrize("name", ["summary.json", "result.vtkhdf", ".voile-run", "history.h5", "pattern.svg"])
+def test_a_folder_where_a_file_is_to_be(voile, name):
+    (voile.folder / name).mkdir(parents=True)
+    code, said = voile("one")
+    assert code == 2 and f"{name}: a folder; runs write a file of that name" in said
+
+
+def test_a_link_in_place_of_the_record(voile, tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    voile.folder.mkdir()
+    os.symlink(tmp_path / "precious", voile.folder / ".voile-run")
+    code, said = voile("one")
+    assert code == 2 and ".voile-run: cannot be opened" in said
+    assert (tmp_path / "precious").read_text() == "precious"
