@@ -6,6 +6,7 @@ leaves a set that fits together.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,8 +28,10 @@ def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, n
     on_root(comm, lambda: inside.mkdir(exist_ok=True))
 
     def save() -> None:
+        packed = io.BytesIO()  # zip files do not survive a full disk
+        np.savez(packed, **arrays)
         with told(inside), fresh(inside / f"{step}-{comm.rank}.npz") as file:
-            np.savez(file, **arrays)
+            file.write(packed.getbuffer())
 
     def commit() -> None:
         with told(inside):
