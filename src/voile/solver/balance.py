@@ -28,9 +28,9 @@ def slides(problem: Problem, why: str, way: np.ndarray) -> str:
 
 def unbalanced(problem: Problem, y: PETSc.Vec, tolerance: float) -> str:
     """Why no shape of the shell has a residual's norm near the tolerance (N); empty where that is not certain: where
-    supports bear, pressure turns with the shell, or an obstacle has normals of more than one direction."""
+    supports or springs bear, pressure turns with the shell, or an obstacle has normals of more than one direction."""
     obstacles = contact_of(problem).obstacles
-    if problem.held or problem.loads.pressure or not all(o.flat for o in obstacles):
+    if problem.held or problem.springs or problem.loads.pressed or not all(o.flat for o in obstacles):
         return ""
     at, own = problem.point(y), problem.own
     dead = problem.loads.forces(at)[: at.u.size].reshape(-1, 3)[own]

@@ -58,7 +58,7 @@ def _check(job: Run, problem: Problem) -> None:
             f"{scene.path}: loads.pressure: up to a free boundary it has no potential, so the shell has no natural "
             "modes; allowed with task = modes: pressure on a shell that is closed, or whose boundary is held"
         )
-    if spec.buckling and scene.loads.pressure and problem.moves:
+    if spec.buckling and problem.loads.pressed and problem.moves:
         raise InputError(
             f"{scene.path}: loads.pressure: allowed with modes.buckling = true: supports that do not move"
         )
@@ -101,11 +101,12 @@ def _scaled(shell: Shell | None, factor: float) -> Shell | None:
     """The shell with loads and motions times a factor."""
     if shell is None:
         return None
-    force = None if shell.force is None else factor * shell.force
+    patch, force = (None if v is None else factor * v for v in (shell.patch_pressure, shell.force))
     return replace(
         shell,
         gravity=factor * np.asarray(shell.gravity),
         pressure=factor * shell.pressure,
+        patch_pressure=patch,
         motion=factor * shell.motion,
         force=force,
     )

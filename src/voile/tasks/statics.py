@@ -1,6 +1,7 @@
 """task = statics: the equilibria along the load path."""
 
 import math
+from typing import Any
 
 from voile.errors import InputError
 from voile.problem.problem import Problem
@@ -46,7 +47,7 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
         many = f"{len(bifurcations)} bifurcation" + "s" * (len(bifurcations) != 1)
         path.converged, path.reason = False, f"statics.branch = {s.branch}: {many} on the path"
     _tell(job, path)
-    more = {"limit_points": told["limit point"], "bifurcations": bifurcations}
+    more: dict[str, Any] = {"limit_points": told["limit point"], "bifurcations": bifurcations}
     job.summarise(problem, path, supports=job.supports(problem, path), **more)
     return "" if path.converged else path.reason
 

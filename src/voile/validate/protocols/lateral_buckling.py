@@ -1,5 +1,7 @@
 """A clamped strip held on edge buckles sideways under its own weight, or under a force at its tip."""
 
+from typing import Any
+
 import numpy as np
 
 from voile.validate.bench import Bench
@@ -23,7 +25,9 @@ def eigenvalue(bench: Bench, width: float, poisson: float, load: float, at_tip: 
     thickness, cells = width / THIN, round(4.0 / width)
     mesh = strip(cells, 4, width)
     stiffness, end = rigidity(thickness), mesh.points[:, 0] > 1.0 - CLAMP
-    loads = {"gravity": [0.0, -load * narrow(poisson) * stiffness / (DENSITY * thickness), 0.0]}
+    loads: dict[str, Any] = {
+        "gravity": [0.0, -load * narrow(poisson) * stiffness / (DENSITY * thickness), 0.0]
+    }
     if at_tip:
         force = -load * narrow(poisson) * TIP / WEIGHT * stiffness * width
         forces = line_forces(mesh.points, end, np.array([0.0, force, 0.0]))
