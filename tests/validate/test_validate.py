@@ -19,7 +19,16 @@ def run(bench):
     return Findings([close("two", value, 2.0, 0.1)], Plot("x", "y", [Curve("line", [0, 1], [0, value])]))
 """
 # Whose quick form takes more than two CPU seconds on a quiet machine: they run with the slow tests.
-LONG = {"bouncing-bar", "cantilever", "friction-pad", "rotating-sphere", "sliding-sheet", "stick-slip"}
+LONG = {
+    "bouncing-bar",
+    "cantilever",
+    "cusick-drape",
+    "friction-pad",
+    "rotating-sphere",
+    "slit-annulus",
+    "sliding-sheet",
+    "stick-slip",
+}
 QUICK = 20.0  # CPU seconds: twice what a quiet machine may take, which beside other programs is not much
 
 

@@ -18,6 +18,7 @@ def scaled(table: str, key: str, factor: float):
 SHORT = [
     ("end-shear", "shell", "young"),
     ("end-moment", "shell", "young"),
+    ("plates", "shell", "young"),
     ("lifted-strip", "shell", "density"),
     ("incline", "obstacle", "friction"),
     ("capstan", "obstacle", "friction"),
@@ -25,6 +26,7 @@ SHORT = [
 LONG = [
     ("cantilever", "shell", "young"),
     ("cantilever", "shell", "density"),
+    ("lateral-buckling", "shell", "young"),
     ("falling-plate", "obstacle", "friction"),
     ("sliding-sheet", "obstacle", "friction"),
     ("stick-slip", "obstacle", "friction"),
