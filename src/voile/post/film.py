@@ -113,6 +113,10 @@ def _swing(
 def _followed(result: Result, scene: dict[str, Any]) -> str:
     """What the result's steps go along: "time" or "load". InputError where there is no film in them."""
     task = scene.get("scene", {}).get("task", "statics")
+    if task == "modes":
+        raise InputError(
+            f"{result.path}: task = modes has no path to film; allowed: a mode, --field mode_000"
+        )
     if task not in PATHS:
         raise InputError(f"{result.path}: task = {task} has no path to film; allowed: {', '.join(PATHS)}")
     if result.n_steps < 2:

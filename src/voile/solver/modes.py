@@ -27,6 +27,7 @@ from voile.solver.stability import contact_tangent
 NEAR = 64.0  # bending rates from zero to the shift: about the lowest omega^2 of a cantilever plate
 FURTHER = 2  # eigenpairs beside those asked for: between them lies a cut for the inertia
 TOLERANCE = 1e-10  # SLEPc's, on theta's residual; eigenvalues are right to its square
+ROUGH, BELOW = 0.02, 0.9  # tolerance of a first look at the lowest; share of it at which a shift is tried
 ALIKE = 1e-7  # relative: eigenvalues nearer than this are one, whose modes are told apart by fixed fields
 SEARCHES = 6  # for copies that the inertia misses
 LOWERED = 60  # times that a shift is lowered fourfold until nothing lies below it
@@ -86,7 +87,8 @@ def buckling(problem: Problem, y: PETSc.Vec, count: int, counts: Counts) -> Mode
         )
     geometric = _geometric(problem, y, stiffness, solver)
     pencil = Pencil(problem, stiffness, geometric, counts)
-    values, modes = pencil.lowest(count, 0.0, solver)
+    shift, solver = pencil.closer(solver)
+    values, modes = pencil.lowest(count, shift, solver)
     return Modes(problem.time + values, pencil.shapes(values, modes))
 
 
@@ -169,6 +171,20 @@ class Pencil:
     other: PETSc.Mat
     counts: Counts
 
+    def closer(self, solver: LinearSolver) -> tuple[float, LinearSolver]:
+        """A shift just below the lowest eigenvalue above 0, and its matrix, factored: loads of buckling lie so close to
+        each other that from 0 they are hard to tell apart. solver: of K."""
+        values, _ = self._search(1, 0.0, solver, [], self._fields(1)[0], ROUGH)
+        shift = values[0] if len(values) else 0.0
+        for _ in range(SEARCHES if shift else 0):
+            shift *= BELOW
+            near = _factor(self.stiffness, self.other, shift, self.counts)
+            if near.usable and not near.negative:
+                solver.destroy()
+                return shift, near
+            near.destroy()
+        return 0.0, solver
+
     def lowest(
         self, count: int, shift: float, solver: LinearSolver, still: Sequence[PETSc.Vec] = ()
     ) -> tuple[np.ndarray, list[PETSc.Vec]]:
@@ -196,7 +212,13 @@ class Pencil:
         return values[:count], vectors[:count]
 
     def _search(
-        self, count: int, shift: float, solver: LinearSolver, found: list[PETSc.Vec], first: PETSc.Vec
+        self,
+        count: int,
+        shift: float,
+        solver: LinearSolver,
+        found: list[PETSc.Vec],
+        first: PETSc.Vec,
+        tolerance: float = TOLERANCE,
     ) -> tuple[np.ndarray, list[PETSc.Vec]]:
         """Further eigenpairs beside those found."""
         definite, room = solver.ksp.getOperators()[0], self.problem.unknowns - len(found)
@@ -210,7 +232,7 @@ class Pencil:
         eps.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
         eps.setOptionsPrefix("modes_")
         eps.setDimensions(min(count, room), min(max(2 * count + 8, 24), room))
-        eps.setTolerances(TOLERANCE, 1000)
+        eps.setTolerances(tolerance, 1000)
         if found:
             eps.setDeflationSpace(found)
         eps.setInitialSpace([first])
