@@ -84,6 +84,27 @@ def test_stability_is_counted_whatever_solves_the_systems(run, tmp_path, words):
     assert summary["notes"] == [] and summary["unused_options"] == []
 
 
+def test_a_solver_that_petsc_has_not_is_bad_input(run, tmp_path, mpirun):
+    """No such solver, and one that cannot on two ranks."""
+    done, _ = run("-pc_factor_mat_solver_type", "cholesky")
+    assert (
+        done.returncode == 2
+        and "pc_factor_mat_solver_type cholesky cannot factor here (ranks: 1)" in done.stderr
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "voile.cli",
+        "run",
+        tmp_path / "scene.toml",
+        "-o",
+        tmp_path / "two",
+        "--",
+    ]
+    both = mpirun(2, [*command, "-pc_factor_mat_solver_type", "cholmod"], 100)
+    assert both.returncode == 2 and "cholmod cannot factor here (ranks: 2)" in both.stderr
+
+
 def test_a_stray_word_is_bad_input(run):
     done, summary = run("snes_monitor")
     assert done.returncode == 2 and not summary

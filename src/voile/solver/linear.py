@@ -11,6 +11,9 @@ from dataclasses import dataclass
 
 from petsc4py import PETSc
 
+from voile.errors import InputError
+
+NO_SOLVER = 92  # PETSc's error for a solver that it does not have for a matrix
 WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
 # MUMPS: count negative pivots on several ranks too; no pivoting (a positive definite matrix needs none, and an
@@ -127,7 +130,16 @@ class LinearSolver:
                 pc.reset()
             self._coupled = matrix.getAttr("coupled")
             self.ksp.setOperators(operator or matrix, matrix)
-            pc.setUp()
+            try:
+                pc.setUp()
+            except PETSc.Error as error:
+                if error.ierr != NO_SOLVER:
+                    raise
+                kind, ranks = pc.getFactorSolverType(), matrix.comm.size
+                raise InputError(
+                    f"PETSc options: pc_factor_mat_solver_type {kind} cannot factor here (ranks: {ranks}); allowed: a "
+                    "solver that PETSc has for them, such as mumps"
+                ) from None
             while factorisation_error(pc) in WORK_SPACE and self._more_work_space():
                 pc.reset()
                 self.ksp.setOperators(operator or matrix, matrix)
