@@ -17,7 +17,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,13 +173,13 @@ def solve(
     petsc: Sequence[str] = (),
     resumes: bool = False,
     lasting: bool = True,
-    stoppable: bool = False,
+    told: Sequence[int] | None = None,
 ) -> str:
     """Solves a scene into a folder, which exists: what `voile run` and `run` share. Returns why it did not converge, or
     nothing. Collective.
 
     model: the scene's, on rank 0; began: time.perf_counter() at start; resumes: goes on from the results there;
-    lasting: all ranks see the folder, and a later run may go on from it; stoppable: signals end it.
+    lasting: all ranks see the folder, and a later run may go on from it; told: signals that end it (voile.signals).
     """
     from voile import blas, signals
     from voile.petsc_options import options_of_run, unused_options
@@ -189,11 +189,12 @@ def solve(
 
     if blas.used().note:
         progress.line(f"note: {blas.used().note}")
-    job = Run(scene, model, folder, progress.comm, progress, began, resumes=resumes, lasting=lasting)
+    comm, ending = progress.comm, () if told is None else told  # a list that grows
+    job = Run(scene, model, folder, comm, progress, began, resumes=resumes, lasting=lasting)
     task = import_module(f"voile.tasks.{scene.scene.task}")
     with options_of_run(petsc):
         try:
-            with run_of_its_own(), signals.stoppable() if stoppable else nullcontext():
+            with signals.not_lost(ending), run_of_its_own(comm.size, ending):
                 failure = task.run(job)
         except NotConverged as reason:
             failure = str(reason)
@@ -206,7 +207,7 @@ def solve(
         except KeyboardInterrupt:
             failure = "stopped by a signal"
             job.refuse(failure)
-            if not stoppable:
+            if told is None:
                 raise
         unused = unused_options()
     if unused:

@@ -6,9 +6,10 @@ import sys
 import traceback
 
 from voile.commands import all_commands
-from voile.errors import InputError, NotConverged
+from voile.errors import InputError, NotConverged, printable
 from voile.launch import without_launcher
 
+INTERRUPTED = 130  # as shells say it of Ctrl-C
 # modules that a plain install lacks -> the extra of pyproject.toml that brings them
 EXTRAS = {
     "pyvista": "pictures",
@@ -21,7 +22,8 @@ DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs a command; returns 0 done, 2 bad input, 3 not converged, 1 anything else."""
+    """Runs a command; returns 0 done, 2 bad input, 3 not converged or stopped, 130 stopped where there was nothing to
+    keep, 1 anything else."""
     without_launcher()
     argv = list(sys.argv[1:] if argv is None else argv)
     split = argv.index("--") if "--" in argv else len(argv)
@@ -33,8 +35,12 @@ def main(argv: list[str] | None = None) -> int:
         return code
     except (InputError, NotConverged) as error:
         if _first_rank():
-            print(f"voile: {error}", file=sys.stderr)
+            print(f"voile: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:
+        return _ended("stopped by a signal", INTERRUPTED)
+    except MemoryError:
+        return _ended("not enough memory for this; allowed: a smaller mesh, or more memory (ulimit -v)", 1)
     except BrokenPipeError:  # who reads has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -42,13 +48,23 @@ def main(argv: list[str] | None = None) -> int:
         if args.debug:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
-            print(f"voile: needs {error.name}: pip install 'voile[{EXTRAS[error.name]}]'", file=sys.stderr)
-            return 1
-        print(f"voile: {type(error).__name__}: {error}  (--debug shows where)", file=sys.stderr)
-        if "mpi4py.MPI" in sys.modules and sys.modules["mpi4py.MPI"].COMM_WORLD.size > 1:
+            return _ended(f"needs {error.name}: pip install 'voile[{EXTRAS[error.name]}]'", 1)
+        if _ranks() > 1:
             traceback.print_exc()
-            sys.modules["mpi4py.MPI"].COMM_WORLD.Abort(1)
-        return 1
+        return _ended(f"{type(error).__name__}: {error}  (--debug shows where)", 1)
+
+
+def _ended(why: str, code: int) -> int:
+    """Tells why the program ends; ranks that wait for this one end with it."""
+    print(f"voile: {printable(why)}", file=sys.stderr, flush=True)
+    if _ranks() > 1:
+        sys.modules["mpi4py.MPI"].COMM_WORLD.Abort(code)
+    return code
+
+
+def _ranks() -> int:
+    mpi = sys.modules.get("mpi4py.MPI")
+    return mpi.COMM_WORLD.size if mpi and mpi.Is_initialized() else 1
 
 
 class CommandParser(argparse.ArgumentParser):

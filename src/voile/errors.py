@@ -8,6 +8,11 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
 
+def printable(text: str) -> str:
+    """A text whose control characters, which a file may hold and a terminal would obey, are written as escapes."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
 class InputError(ValueError):
     """Bad input: one message naming the file, line or key, what is wrong and what is allowed."""
 

@@ -1,26 +1,38 @@
 """Signals that end a run."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+
+# SIGUSR1 because mpirun hands it on to its ranks and then ends as they do; SIGTERM it takes for itself.
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
 
 
 @contextmanager
-def stoppable() -> Iterator[None]:
-    """SIGTERM and SIGINT end what runs within by KeyboardInterrupt."""
+def stoppable(together: bool = False) -> Iterator[list[int]]:
+    """Signals end what runs within by KeyboardInterrupt. together: they are only noted, in the list that is given, as
+    ranks must end at the same place (voile.problem.lifetime.stop_if_told)."""
     told: list[int] = []
 
     def stop(number: int, _frame) -> None:
         told.append(number)
-        raise KeyboardInterrupt
+        if not together:
+            raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
+    before = {number: signal.signal(number, stop) for number in ENDING}
     try:
-        yield
-    except Exception as other:
-        if told:  # newer PETSc loses what a callback raises
-            raise KeyboardInterrupt from other
-        raise
+        yield told
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def not_lost(told: Sequence[int]) -> Iterator[None]:
+    """What goes wrong after a signal is its doing: newer PETSc loses what a callback raises."""
+    try:
+        yield
+    except Exception as other:
+        if told:
+            raise KeyboardInterrupt from other
+        raise

@@ -3,6 +3,7 @@
 import argparse
 
 from voile.commands._scene import load, scene_arguments
+from voile.errors import printable
 
 TEXT = "what a scene will model and why; solves nothing"
 
@@ -16,4 +17,4 @@ def run(args: argparse.Namespace) -> None:
     """Prints the terms, unknowns, solver and memory of a scene."""
     from voile.explain import explain
 
-    print(explain(*load(args)))
+    print(printable(explain(*load(args))))

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from voile.errors import printable
+
 TEXT = "figures of a result"
 
 
@@ -15,4 +17,4 @@ def run(args: argparse.Namespace) -> None:
     """Prints the figures."""
     from voile.post import info
 
-    print(info(args.file))
+    print(printable(info(args.file)))

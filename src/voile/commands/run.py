@@ -32,22 +32,23 @@ def run(args: argparse.Namespace) -> None:
     start_petsc(args.petsc)
     from mpi4py import MPI
 
-    from voile import api
+    from voile import api, signals
     from voile.results import held_output
     from voile.results.restart import newest_step
     from voile.tasks import Progress
 
     comm = MPI.COMM_WORLD
-    scene, model = on_root(comm, lambda: load(args)) or (None, None)
-    scene = comm.bcast(scene)
-    folder = args.output or Path(f"{args.scene.stem}-result")
-    if args.resume and scene.scene.task != "dynamics":
-        raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
-    if args.resume:
-        newest_step(folder, comm)
-    progress = Progress(comm)
-    with held_output(folder, comm, args.scene, scene.text, args.force):
-        failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, stoppable=True)
+    with signals.stoppable(together=comm.size > 1) as told:
+        scene, model = on_root(comm, lambda: load(args)) or (None, None)
+        scene = comm.bcast(scene)
+        folder = args.output or Path(f"{args.scene.stem}-result")
+        if args.resume and scene.scene.task != "dynamics":
+            raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
+        if args.resume:
+            newest_step(folder, comm)
+        progress = Progress(comm)
+        with held_output(folder, comm, args.scene, scene.text, args.force):
+            failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, told=told)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

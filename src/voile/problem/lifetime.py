@@ -1,17 +1,30 @@
-"""When PETSc's objects end that Python cannot free: those that call back into what holds them.
+"""When a run ends that was told to, and PETSc's objects that Python cannot free: those that call back into what holds
+them.
 
 Such circles lead through C, where Python's garbage collection does not see them. A run destroys them at its end, in the
 same order on all ranks.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 Kept = TypeVar("Kept", bound=PETSc.Object)
 _runs: list[list[PETSc.Object]] = []  # of the runs that go, the innermost last
+_told: list[tuple[int, Sequence[int]]] = []  # their ranks, and the signals that they got
+
+
+def stop_if_told(comm: MPI.Comm) -> None:
+    """Ends a run by KeyboardInterrupt on all of its ranks where any of them has got a signal. Collective, where ranks
+    are in step anyway; it costs some microseconds."""
+    if not _told or comm.size == 1:
+        return
+    ranks, signals = _told[-1]
+    if comm.size == ranks and comm.allreduce(len(signals)):
+        raise KeyboardInterrupt
 
 
 def until_the_end(made: Kept) -> Kept:
@@ -22,11 +35,13 @@ def until_the_end(made: Kept) -> Kept:
 
 
 @contextmanager
-def run_of_its_own() -> Iterator[None]:
-    """What is made within ends with it. Collective."""
+def run_of_its_own(ranks: int = 1, signals: Sequence[int] = ()) -> Iterator[None]:
+    """What is made within ends with it. signals: those that this one of its ranks gets. Collective."""
     _runs.append([])
+    _told.append((ranks, signals))
     try:
         yield
     finally:
+        _told.pop()
         for made in reversed(_runs.pop()):
             made.destroy()

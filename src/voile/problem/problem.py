@@ -13,6 +13,7 @@ from voile.elastic import has_directors
 from voile.problem.elastic import Elastic
 from voile.problem.follower import pressure_origin
 from voile.problem.inertia import mass_blocks
+from voile.problem.lifetime import stop_if_told
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
 from voile.problem.partition import bounding_size, distribute
@@ -170,6 +171,7 @@ class Problem:
 
     def energies(self, y: PETSc.Vec) -> dict[str, float]:
         """Parts of the potential (J)."""
+        stop_if_told(self.comm)
         at = self.point(y)
         parts: dict[str, float] = {}
         for term in self.terms:
@@ -184,6 +186,7 @@ class Problem:
     def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: np.ndarray | None = None) -> None:
         """Writes the gradient of the potential (N; N m for directors) to f, less forces on the shell (local vertices,
         3) N, if given."""
+        stop_if_told(self.comm)
         at = self.point(y)
         forces = sum((term.forces(at) for term in self.terms[1:]), self.terms[0].forces(at))
         if reactions is not None:
@@ -225,6 +228,7 @@ class Problem:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). To be added: `contact`,
         what the linearised laws do; shift (1/s^2), a multiple of the mass C^T M C."""
+        stop_if_told(self.comm)
         PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
         at, blocks = self.point(y), list(contact)
         for term in self.terms:

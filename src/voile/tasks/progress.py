@@ -3,6 +3,8 @@
 import sys
 import time
 
+from voile.errors import printable
+
 
 class Progress:
     """Live on a terminal, plain lines (at most one every few seconds between steps) elsewhere."""
@@ -19,7 +21,7 @@ class Progress:
     def line(self, text: str) -> None:
         """A line that stays."""
         if not self.quiet:
-            print(("\r\033[K" if self.live else "") + text, flush=True)
+            print(("\r\033[K" if self.live else "") + printable(text), flush=True)
 
     def iteration(self, factor: float, iteration: int, residual: float) -> None:
         """One Newton iteration at a load factor."""
