@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voile.errors import InputError, on_root
+from voile.results.checks import check_length, dataset, intact, member
 from voile.results.folder import replace, told
 from voile.results.writer import import_h5py
 
@@ -90,10 +91,15 @@ def read_history(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """Columns of a history (file, or folder with it). Raises InputError where there is none."""
     path = Path(path)
     path = path / "history.h5" if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"{path}: no history of a run in time")
     import h5py
 
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            return {name: values[()] for name, values in file["voile/history"].items()}
-    except (OSError, KeyError):
-        raise InputError(f"{path}: no history of a run in time") from None
+    with intact(path), h5py.File(path, "r", locking=False) as file:
+        group = member(path, file, "voile/history")
+        if group is None:
+            raise InputError(f"{path}: no history of a run in time")
+        found = {name: dataset(path, group, name)[()] for name in group}
+        for name, values in found.items():
+            check_length(path, name, len(values), len(found.get("time", ())))
+        return found

@@ -14,9 +14,12 @@ from typing import Any, Self
 import numpy as np
 
 from voile.errors import InputError
+from voile.results.checks import check_finite, check_indices, check_length, dataset, intact, member
 from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS, Field, find_field
 from voile.results.static import OBSTACLES, Body
-from voile.results.writer import EDGES, OWN_VALUES, POINTS
+from voile.results.writer import EDGES, OWN_VALUES, POINTS, STEPS
+
+FIGURES = "voile/steps"
 
 
 @dataclass(frozen=True)
@@ -40,10 +43,7 @@ def read_result(path: str | os.PathLike[str]) -> Result:
     Raises InputError where it is missing, not a result of this program, of a newer format, or truncated.
     """
     path = result_file(path)
-    try:
-        return Result(path, open_result(path))
-    except (OSError, KeyError) as error:
-        raise InputError(f"{path}: damaged result file: {_first_line(error)}") from None
+    return Result(path, open_result(path))
 
 
 def result_file(path: str | os.PathLike[str]) -> Path:
@@ -70,10 +70,8 @@ def open_result(path: Path) -> Any:
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: not a result file (not HDF5); `result.vtkhdf` of a run expected")
-    try:
+    with intact(path):
         return h5py.File(path, "r", locking=False)
-    except (OSError, KeyError) as error:
-        raise InputError(f"{path}: damaged result file: {_first_line(error)}") from None
 
 
 class Result:
@@ -84,24 +82,41 @@ class Result:
 
     def __init__(self, path: Path, file: Any):
         self.path, self._file = path, file
-        if "VTKHDF" not in file or "voile" not in file:
-            raise InputError(f"{path}: not a result of this program: it lacks the group /VTKHDF or /voile")
-        own = file["voile"]
+        with intact(path):
+            if member(path, file, "VTKHDF") is None or member(path, file, "voile") is None:
+                raise InputError(
+                    f"{path}: not a result of this program: it lacks the group /VTKHDF or /voile"
+                )
+            self._read_head(member(path, file, "voile"))
+
+    def _read_head(self, own: Any) -> None:
+        path = self.path
         self.format_version = int(own.attrs["format_version"])
         if self.format_version > FORMAT_VERSION:
             raise InputError(
                 f"{path}: result format {self.format_version}; this program reads up to {FORMAT_VERSION}"
             )
-        self.versions: dict[str, str] = json.loads(own.attrs["versions"])
-        self.group_names: tuple[str, ...] = tuple(json.loads(own.attrs["group_names"]))
-        self.scene_text = own["scene"][()].tobytes().decode("utf-8")
-        self.n_steps = int(file["VTKHDF/Steps"].attrs["NSteps"])
+        self.versions: dict[str, str] = {
+            str(k): str(v) for k, v in dict(json.loads(own.attrs["versions"])).items()
+        }
+        self.group_names: tuple[str, ...] = tuple(map(str, json.loads(own.attrs["group_names"])))
+        self.scene_text = dataset(path, own, "scene", "indices", 0)[()].tobytes().decode("utf-8")
+        self.n_steps = int(member(path, self._file, STEPS).attrs["NSteps"])
         if self.n_steps == 0:
             raise InputError(f"{path}: a result without a complete step")
-        self.values: np.ndarray = file[OWN_VALUES][: self.n_steps]
-        self.ended = len(file[OWN_VALUES]) == self.n_steps  # else the run goes on, or was killed
-        self.n_points = int(file["VTKHDF/NumberOfPoints"][0])
-        self.n_cells = int(file["VTKHDF/NumberOfCells"][0])
+        values = self._data(OWN_VALUES, "reals", 0)
+        if not 0 < self.n_steps <= len(values):
+            raise InputError(f"{path}: damaged result file: {self.n_steps} steps, but room for {len(values)}")
+        self.values: np.ndarray = values[: self.n_steps]
+        check_finite(path, OWN_VALUES, self.values)
+        self.ended = len(values) == self.n_steps  # else the run goes on, or was killed
+        self.n_points, self.n_cells = (
+            int(self._read(f"VTKHDF/NumberOf{what}", "indices", 0)[0]) for what in ("Points", "Cells")
+        )
+        check_length(path, "VTKHDF/Connectivity", len(self._data("VTKHDF/Connectivity")), 3 * self.n_cells)
+        if min(self.n_points, self.n_cells) < 1:
+            raise InputError(f"{path}: damaged result file: no vertices or triangles")
+        self.bodies: tuple[Body, ...] = tuple(self._bodies())
 
     def __enter__(self) -> Self:
         return self
@@ -115,73 +130,81 @@ class Result:
     @cached_property
     def triangles(self) -> np.ndarray:
         """(m, 3) vertex indices."""
-        return self._read("VTKHDF/Connectivity").reshape(-1, 3)
+        return self._indices("VTKHDF/Connectivity", 0, self.n_points).reshape(-1, 3)
 
     @cached_property
     def start(self) -> np.ndarray:
         """(n, 3) positions at the start of the run, m."""
-        return self._read("VTKHDF/PointData/start")
+        return self._places("VTKHDF/PointData/start", self.n_points)
 
     @cached_property
     def rest(self) -> np.ndarray:
         """(nr, 3) rest positions, m; which belong to a triangle: `rest_triangles`."""
-        return self._read(
-            "voile/rest_points" if "voile/rest_points" in self._file else "VTKHDF/PointData/rest"
-        )
+        own = "voile/rest_points"
+        return self._places(own) if self._has(own) else self._places("VTKHDF/PointData/rest", self.n_points)
 
     @cached_property
     def rest_triangles(self) -> np.ndarray:
         """(m, 3) indices into `rest`; equal to `triangles` unless the rest shape has its own vertices."""
         own = "voile/rest_triangles"
-        return self._read(own) if own in self._file else self.triangles
+        return self._indices(own, 3, len(self.rest), self.n_cells) if self._has(own) else self.triangles
 
     @cached_property
     def edges(self) -> np.ndarray | None:
         """(e, 2) vertex pairs of the director angles, None where the run has none."""
-        return self._read("voile/edges") if "voile/edges" in self._file else None
+        return self._indices("voile/edges", 2, self.n_points) if self._has("voile/edges") else None
 
-    @cached_property
-    def bodies(self) -> tuple[Body, ...]:
+    def _bodies(self) -> Iterator[Body]:
         """The obstacles where they are at load factor 0, in the scene's order."""
-        found = []
-        for k in range(len(self._file.get(OBSTACLES, ()))):
-            name, friction, points, triangles = (
-                self._read(f"{OBSTACLES}/{k}/{part}") for part in ("name", "friction", "points", "triangles")
-            )
-            found.append(Body(name.tobytes().decode("utf-8"), float(friction), points, triangles))
-        return tuple(found)
+        group = member(self.path, self._file, OBSTACLES)
+        for k in range(0 if group is None else len(group)):
+            name, friction = (self._read(f"{OBSTACLES}/{k}/{part}") for part in ("name", "friction"))
+            points = self._places(f"{OBSTACLES}/{k}/points")
+            triangles = self._indices(f"{OBSTACLES}/{k}/triangles", 3, len(points))
+            yield Body(name.tobytes().decode("utf-8"), float(friction), points, triangles)
 
     def placements(self, step: int = -1) -> np.ndarray:
         """(bodies, 4, 4) matrices that take the bodies' points at load factor 0, (x, y, z, 1), to a step's."""
         paths = [f"{OBSTACLES}/{k}/placement" for k in range(len(self.bodies))]
-        rows = [self._rows(path, self._step(step), 1) for path in paths]
+        rows = [self._rows(path, self._step(step), 1, 16) for path in paths]
         return np.reshape(rows, (-1, 4, 4))
 
     @property
     def point_fields(self) -> tuple[str, ...]:
-        return tuple(self._file.get("VTKHDF/PointData", {}))
+        return self._names("VTKHDF/PointData", POINT_FIELDS)
 
     @property
     def moving_fields(self) -> tuple[str, ...]:
         """Those of `point_fields` that every step has anew."""
-        data = self._file.get("VTKHDF/PointData", {})
-        return tuple(name for name in data if "static" not in data[name].attrs)
+        return tuple(
+            name for name in self.point_fields if "static" not in self._data(f"VTKHDF/PointData/{name}").attrs
+        )
 
     @property
     def cell_fields(self) -> tuple[str, ...]:
-        return tuple(self._file.get("VTKHDF/CellData", {}))
+        return self._names("VTKHDF/CellData", CELL_FIELDS)
 
     def points(self, step: int = -1) -> np.ndarray:
         """(n, 3) positions, m."""
-        return self._rows(POINTS, self._step(step) * self.n_points, self.n_points)
+        return self._rows(POINTS, self._step(step) * self.n_points, self.n_points, 3)
 
     def field(self, name: str, step: int = -1) -> np.ndarray:
         """Point data (n, ...) or cell data (m, ...) of that name; unit: `unit(name)`."""
-        for kind, n in (("Point", self.n_points), ("Cell", self.n_cells)):
-            path = f"VTKHDF/{kind}Data/{name}"
-            if path in self._file:
-                offset = int(self._file[f"VTKHDF/Steps/{kind}DataOffsets/{name}"][self._step(step)])
-                return self._rows(path, offset, n)
+        for kind, n, table, names in (
+            ("Point", self.n_points, POINT_FIELDS, self.point_fields),
+            ("Cell", self.n_cells, CELL_FIELDS, self.cell_fields),
+        ):
+            if name in names:
+                offsets = self._data(f"VTKHDF/Steps/{kind}DataOffsets/{name}", "indices", 0)
+                check_length(self.path, f"offsets of {name}", min(len(offsets), self.n_steps), self.n_steps)
+                begin = int(offsets[self._step(step)])
+                known = find_field(table, name)
+                assert known is not None  # names are those that are known
+                finite = np.dtype(known.dtype).kind == "f" and known.components > 0
+                values = self._rows(f"VTKHDF/{kind}Data/{name}", begin, n, known.components, finite)
+                if name == "group":
+                    check_indices(self.path, name, values, max(1, len(self.group_names)))
+                return values
         raise KeyError(f"no field {name!r}; there are {', '.join(self.point_fields + self.cell_fields)}")
 
     def describe(self, name: str) -> Field:
@@ -197,19 +220,26 @@ class Result:
 
     def edge_angles(self, step: int = -1) -> np.ndarray | None:
         """(e,) director angles, rad, in the order of `edges`; None where the run has none."""
-        if EDGES not in self._file or self.edges is None:
+        if self.edges is None or not self._has(EDGES):
             return None
         count = len(self.edges)
-        return self._rows(EDGES, self._step(step) * count, count)
+        return self._rows(EDGES, self._step(step) * count, count, 0)
 
     def scalars(self, step: int = -1) -> dict[str, float]:
         """The figures stored with a step."""
         step = self._step(step)
-        return {name: float(data[step]) for name, data in self._file.get("voile/steps", {}).items()}
+        return {name: float(values[step]) for name, values in self.figures().items()}
 
     def figures(self) -> dict[str, np.ndarray]:
         """(n_steps,) each, the figures stored with the steps."""
-        return {name: data[: self.n_steps] for name, data in self._file.get("voile/steps", {}).items()}
+        names = member(self.path, self._file, FIGURES)
+        return {name: self._figures(f"{FIGURES}/{name}") for name in (() if names is None else names)}
+
+    def _figures(self, path: str) -> np.ndarray:
+        with intact(self.path):
+            values = self._data(path, "reals", 0)[: self.n_steps]
+        check_length(self.path, path, len(values), self.n_steps)
+        return values
 
     def restart(self, step: int = -1) -> Restart:
         """All that a run needs to go on from a step."""
@@ -230,18 +260,44 @@ class Result:
             raise IndexError(f"{self.path}: no step {step}; there are {self.n_steps}")
         return step % self.n_steps
 
-    def _read(self, path: str) -> np.ndarray:
-        try:
-            return self._file[path][()]
-        except (OSError, KeyError) as error:
-            raise InputError(f"{self.path}: damaged result file: {_first_line(error)}") from None
+    # ---- the file's arrays, checked ----
 
-    def _rows(self, path: str, begin: int, count: int) -> np.ndarray:
-        try:
-            return self._file[path][begin : begin + count]
-        except (OSError, KeyError) as error:
-            raise InputError(f"{self.path}: damaged result file: {_first_line(error)}") from None
+    def _has(self, path: str) -> bool:
+        with intact(self.path):
+            return member(self.path, self._file, path) is not None
 
+    def _names(self, group: str, known: dict[str, Field]) -> tuple[str, ...]:
+        with intact(self.path):
+            found = member(self.path, self._file, group)
+            return tuple(name for name in (() if found is None else found) if name in known)
 
-def _first_line(error: Exception) -> str:
-    return str(error.args[0] if error.args else error).splitlines()[0]
+    def _data(self, path: str, kind: str = "numbers", columns: int | None = None) -> Any:
+        with intact(self.path):
+            return dataset(self.path, self._file, path, kind, columns)
+
+    def _read(self, path: str, kind: str = "numbers", columns: int | None = None) -> np.ndarray:
+        with intact(self.path):
+            return self._data(path, kind, columns)[()]
+
+    def _indices(self, path: str, columns: int, count: int, rows: int | None = None) -> np.ndarray:
+        """Indices below a count; rows: how many there must be."""
+        found = self._read(path, "indices", columns).astype(np.int64, copy=False)
+        check_length(self.path, path, len(found), len(found) if rows is None else rows)
+        check_indices(self.path, path, found, count)
+        return found
+
+    def _places(self, path: str, rows: int | None = None) -> np.ndarray:
+        """Points (rows, 3) m."""
+        found = self._read(path, "reals", 3)
+        check_length(self.path, path, len(found), len(found) if rows is None else rows)
+        check_finite(self.path, path, found)
+        return found
+
+    def _rows(self, path: str, begin: int, count: int, columns: int, finite: bool = True) -> np.ndarray:
+        """Rows of a step."""
+        with intact(self.path):
+            found = self._data(path, "numbers", columns)[max(0, begin) : max(0, begin) + count]
+        check_length(self.path, path, len(found) if begin >= 0 else 0, count)
+        if finite:
+            check_finite(self.path, path, found)
+        return found
