@@ -9,10 +9,12 @@ from scipy.sparse.csgraph import connected_components
 
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
-from voile.mesh.stitches import Stitches, sewing_matrix
+from voile.mesh.stitches import Stitches, circular, sewing_matrix
 
 # Altitude over longest edge of a triangle without area: the determinant of its metric keeps no digit there.
 FLATNESS = 1e-8
+# m: areas squared of larger and smaller ones are near the ends of double precision.
+LARGEST, SMALLEST = 1e30, 1e-30
 
 
 def check_coordinates(raw: RawMesh) -> None:
@@ -28,6 +30,11 @@ def check_coordinates(raw: RawMesh) -> None:
     bad = np.flatnonzero(~np.isfinite(raw.points).all(axis=1))
     if len(bad):
         raise InputError(f"{raw.source}: {raw.vertex(bad[0])} is {raw.points[bad[0]].tolist()}, not finite")
+    beyond = np.flatnonzero((np.abs(raw.points) > LARGEST).any(axis=1))
+    if len(beyond):
+        raise InputError(
+            f"{raw.source}: {raw.vertex(beyond[0])} is {raw.points[beyond[0]].tolist()} m; allowed: at most {LARGEST:g}"
+        )
     if raw.texture is not None and not np.isfinite(raw.texture).all():
         bad = np.flatnonzero(~np.isfinite(raw.texture).all(axis=1))
         raise InputError(
@@ -42,6 +49,11 @@ def check_triangles(raw: RawMesh) -> None:
     if len(repeated):
         raise InputError(
             f"{raw.source}: {raw.triangle(repeated[0])} repeats a vertex; three different ones are needed"
+        )
+    tiny = np.flatnonzero(np.ptp(raw.points[tri], axis=1).max(axis=1, initial=0.0) < SMALLEST)
+    if len(tiny):
+        raise InputError(
+            f"{raw.source}: {raw.triangle(tiny[0])} is smaller than {SMALLEST:g} m; larger ones are needed"
         )
     ordered = np.sort(tri, axis=1)
     order = np.lexsort(ordered.T)
@@ -138,12 +150,21 @@ def sew(raw: RawMesh, used: np.ndarray) -> np.ndarray:
         vertex = raw.vertex(raw.stitch_vertices[record, column])
         raise InputError(f"{raw.source}: {raw.stitch(record)} ties {vertex}, which belongs to no triangle")
     slave, first, second = raw.stitch_vertices.T
+    weight = raw.stitch_weight
+    itself = np.flatnonzero(((slave == first) & (weight < 1)) | ((slave == second) & (weight > 0)))
+    if len(itself):
+        raise InputError(
+            f"{raw.source}: {raw.stitch(itself[0])} ties {raw.vertex(slave[itself[0]])} to itself; another is needed"
+        )
     try:
         matrix, free = sewing_matrix(
             Stitches(slave, first, second, raw.stitch_weight), len(raw.points), raw.stitch
         )
     except InputError as error:
         raise InputError(f"{raw.source}: {error}") from None
+    rounds = circular(Stitches(slave, first, second, weight), len(raw.points))
+    if rounds:
+        raw.notes = (*raw.notes, f"{rounds} stitches join vertices in a circle: some say what others say")
     # in arbitrary positions of the free vertices only those triangles are flat that the seams make so
     keep = np.ones(len(raw.triangles), dtype=bool)
     keep[flat_triangles(matrix @ np.random.default_rng(0).random((len(free), 3)), raw.triangles)] = False

@@ -96,6 +96,16 @@ def join(stitches: Stitches, count: int) -> tuple[np.ndarray, np.ndarray]:
         label = joined
 
 
+def circular(stitches: Stitches, count: int) -> int:
+    """How many records of weight 0 or 1 join vertices along directed circles, as a to b and b to a."""
+    joins = (stitches.weight == 0) | (stitches.weight == 1)
+    slave = stitches.slave[joins]
+    end = np.where(stitches.weight == 1, stitches.second, stitches.first)[joins]
+    graph = sparse.coo_matrix((np.ones(len(end)), (slave, end)), shape=(count, count))
+    _, component = connected_components(graph, connection="strong")
+    return int((component[slave] == component[end]).sum())
+
+
 def _refuse_cycle(
     step: sparse.csr_matrix, first_of: np.ndarray, hangs: np.ndarray, name: Callable[[int], str]
 ) -> None:

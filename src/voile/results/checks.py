@@ -35,7 +35,7 @@ def intact(path: Path) -> Iterator[None]:
 
 
 def member(path: Path, group: Any, name: str) -> Any:
-    """The dataset or group of that name, None where there is none. InputError for links and what is stored elsewhere."""
+    """The dataset or group of that name, None where there is none. InputError for links and data of other files."""
     import h5py
 
     here = group

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from voile.errors import InputError, NotWritten, on_root
+from voile.results.checks import dataset, intact
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -225,10 +226,10 @@ def _claim(directory: Path, record: IO[bytes], scene: Path, text: str, force: bo
 
 def stored_text(result: Path) -> str:
     """The scene's text in a result file, empty where it cannot be read."""
-    from voile.results.reader import read_result
+    import h5py
 
     try:
-        with read_result(result) as read:
-            return read.scene_text
+        with intact(result), h5py.File(result, "r", locking=False) as file:
+            return dataset(result, file, "voile/scene", "indices", 0)[()].tobytes().decode("utf-8")
     except InputError:
         return ""

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from voile.errors import InputError
+from voile.results.checks import member
 
 
 class FrictionProblem(NamedTuple):
@@ -73,9 +74,10 @@ def _read_fclib(group: h5py.Group) -> FrictionProblem:
 
 def _values(group: h5py.Group, name: str, size: int | None = None) -> np.ndarray:
     """The dataset as a flat array; of that size where given."""
-    if not isinstance(group.get(name), h5py.Dataset):
+    found = member(Path(group.file.filename), group, name)
+    if not isinstance(found, h5py.Dataset):
         raise InputError(f"{group.name.rstrip('/')}/{name} is missing")
-    values = np.atleast_1d(group[name][()]).ravel()
+    values = np.atleast_1d(found[()]).ravel()
     if values.dtype.kind not in "iuf":
         raise InputError(f"{group.name.rstrip('/')}/{name} must hold numbers")
     if size is not None and len(values) != size:

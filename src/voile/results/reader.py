@@ -269,7 +269,7 @@ class Result:
     def _names(self, group: str, known: dict[str, Field]) -> tuple[str, ...]:
         with intact(self.path):
             found = member(self.path, self._file, group)
-            return tuple(name for name in (() if found is None else found) if name in known)
+            return tuple(name for name in (() if found is None else found) if find_field(known, name))
 
     def _data(self, path: str, kind: str = "numbers", columns: int | None = None) -> Any:
         with intact(self.path):

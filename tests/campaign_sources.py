@@ -1,0 +1,53 @@
+"""What campaigns start from: imports, and a result with obstacles, contact and a history."""
+
+from pathlib import Path
+
+STRIP = "\n".join(
+    [f"v {0.04 * i} {0.05 * j} 0" for i in range(6) for j in range(2)]
+    + [f"f {2 * i + a} {2 * i + b} {2 * i + c}" for i in range(5) for a, b, c in ((1, 3, 4), (1, 4, 2))]
+)
+SCENE = """
+[scene]
+task = "dynamics"
+[shell]
+mesh = "strip.obj"
+young = 1e6
+thickness = 1e-3
+density = 300.0
+[dynamics]
+duration = 0.05
+time_step = 0.01
+[[fix]]
+select = { box = [[-0.01, -1, -1], [0.01, 1, 1]] }
+clamp = true
+[[obstacle]]
+shape = "sphere"
+center = [0.1, -0.05, 0.025]
+radius = 0.045
+friction = 0.3
+"""
+
+
+def preload() -> None:
+    """Imports what the commands need, once for all forks."""
+    import h5py  # noqa: F401
+    import matplotlib.pyplot  # noqa: F401
+    import meshio  # noqa: F401
+    import pyvista  # noqa: F401
+
+    import voile.explain
+    import voile.post
+    import voile.wiring  # noqa: F401
+
+
+def small_result(folder: Path) -> Path:
+    """The folder of a short run, made in a process of its own: MPI does not live in forks."""
+    import subprocess
+    import sys
+
+    folder.mkdir()
+    (folder / "strip.obj").write_text(STRIP)
+    (folder / "scene.toml").write_text(SCENE)
+    command = [sys.executable, "-m", "voile.cli", "run", folder / "scene.toml", "-o", folder / "out"]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder / "out"
