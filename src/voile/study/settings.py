@@ -1,7 +1,6 @@
 """Settings: keys of a scene, or of how it is run, with values that a study gives them."""
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from voile.keys import Integer, Rejected, Selection, Table, Tables
 from voile.keys.kinds import Kind
 from voile.keys.kinds import read_key as read_named
 from voile.scene import Scene
+from voile.scene.plain import toml_value
 from voile.scene.schema import homes
 
 Settings = dict[str, Any]
@@ -104,20 +104,7 @@ def _inner(kind: Table | Selection, part: str, name: str) -> Kind:
 
 def overrides(settings: Settings) -> list[str]:
     """The scene's keys among settings, as `--set` takes them."""
-    return [f"{full(name)}={toml(value)}" for name, value in settings.items() if name not in OWN]
-
-
-def toml(value: Any) -> str:
-    """A value as TOML writes it in one line."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(toml, value))}]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + " }"
-    return repr(value)
+    return [f"{full(name)}={toml_value(value)}" for name, value in settings.items() if name not in OWN]
 
 
 def value_of(scene: Scene, name: str) -> Any:
@@ -147,4 +134,4 @@ def plain(value: Any) -> Any:
 
 def told(settings: Settings) -> str:
     """Settings in one line: key=value, text without quotes."""
-    return " ".join(f"{brief(n)}={v if isinstance(v, str) else toml(v)}" for n, v in settings.items())
+    return " ".join(f"{brief(n)}={v if isinstance(v, str) else toml_value(v)}" for n, v in settings.items())

@@ -1,0 +1,128 @@
+"""What a study makes of its runs' numbers: limits, rates, chance hits, the front. No run is needed."""
+
+import numpy as np
+import pytest
+from test_study import POINT, SCENE
+
+from voile.mesh import read_mesh, refine, write_obj
+from voile.study.analysis import analyse
+from voile.study.execute import Record
+from voile.study.measures import figure, mean_weights
+from voile.study.plan import read_plan
+from voile.study.series import extrapolate
+
+
+@pytest.mark.parametrize("rate", [0.7, 1.0, 2.0, 3.5])
+@pytest.mark.parametrize("sizes", [(1.0, 0.5, 0.25), (0.3, 0.2, 0.05)])
+def test_limits_of_exact_series(rate, sizes):
+    values = tuple(3.0 - 2.0 * h**rate for h in sizes)
+    limit, found = extrapolate(sizes, values)
+    assert limit == pytest.approx(3.0, abs=1e-9) and found == pytest.approx(rate, abs=1e-8)
+
+
+def test_what_has_no_limit():
+    assert extrapolate((1.0, 0.5), (1.0, 2.0)) == (None, None)
+    assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 1.5)) == (None, None)  # to and fro
+    assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 4.0)) == (None, None)  # away
+    assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 2.0)) == (2.0, None)  # settled
+
+
+@pytest.fixture
+def findings(tmp_path):
+    """findings(study, value, seconds): of runs whose value and seconds are functions of their settings."""
+    from mesh_helpers import generator
+
+    points, triangles = generator("strip").strip(length=1.0, width=0.1, size=0.1)
+    write_obj(tmp_path / "strip.obj", points, triangles)
+    (tmp_path / "scene.toml").write_text(SCENE)
+
+    def find(text, value, seconds):
+        (tmp_path / "study.toml").write_text(
+            '[study]\nscene = "scene.toml"\nmeasure = "tip"\n' + text + POINT
+        )
+        plan = read_plan(tmp_path / "study.toml")
+        records = [
+            Record(run.key, "converged", "", {"tip": value(run.effective)}, seconds(run.effective), 1)
+            for run in plan.runs
+        ]
+        return analyse(plan, records)
+
+    return find
+
+
+def test_errors_are_told_apart_by_what_causes_them(findings):
+    """A value made of a limit and known parts of discretisation, iteration and model."""
+
+    def value(s):
+        model = 0.05 if s["shell.model"] == "projective" else 0.0
+        return 1.0 + model + 0.2 * 0.25 ** s["refine"] + (0.01 if s["statics.tolerance"] > 1e-6 else 0.0)
+
+    text = """reference = "extrapolate"
+[vary]
+refine = [0, 1, 2]
+"shell.model" = ["koiter", "projective"]
+"statics.tolerance" = [1e-2, 1e-9]
+"""
+    found = findings(text, value, lambda s: 4.0 ** s["refine"])
+    assert found.references["tip"] == pytest.approx(1.0, abs=1e-9)
+    for row in found.rows:
+        s, parts = row.run.effective, row.parts["tip"]
+        assert parts["discretisation"] == pytest.approx(0.2 * 0.25 ** s["refine"], abs=1e-8)
+        assert parts["iteration"] == pytest.approx(0.01 * (s["statics.tolerance"] == 1e-2), abs=1e-8)
+        assert parts["model"] == pytest.approx(0.05 * (s["shell.model"] == "projective"), abs=1e-8)
+    assert all(s.rate == pytest.approx(2.0, abs=1e-6) for s in found.series)
+
+
+def test_small_by_chance_is_not_recommended(findings):
+    """The second mesh crosses the reference by chance; finer ones are further off."""
+    values = {0: 1.3, 1: 1.00001, 2: 0.94, 3: 0.985}
+    text = "reference = 1.0\naccuracy = [0.1, 0.02, 0.001]\n[vary]\nrefine = [0, 1, 2, 3]\n"
+    found = findings(text, lambda s: values[s["refine"]], lambda s: 4.0 ** s["refine"])
+    assert [row.trusted for row in found.rows] == pytest.approx([0.3, 0.06, 0.06, 0.015])
+    chosen = [choice.row and choice.row.run.effective["refine"] for choice in found.choices]
+    assert chosen == [1, 3, None]
+
+
+def test_the_front_takes_no_heed_of_what_clocks_cannot_tell(findings):
+    text = "reference = 1.0\n[vary]\nrefine = [0, 1, 2, 3]\n"
+    errors, seconds = {0: 0.3, 1: 0.1, 2: 0.03, 3: 0.01}, {0: 0.50, 1: 0.55, 2: 9.0, 3: 10.0}
+    fronts = []
+    for noise in (0.9, 1.0, 1.1):
+        found = findings(
+            text, lambda s: 1.0 + errors[s["refine"]], lambda s, f=noise: f * seconds[s["refine"]]
+        )
+        fronts.append([row.run.effective["refine"] for row in found.front])
+    assert fronts == [[1, 3]] * 3
+    best = [choice.row and choice.row.run.effective["refine"] for choice in found.choices]
+    assert best == [3, None, None]
+
+
+def test_figures_of_summaries():
+    summary = {
+        "energy": {"a": 1.0, "b": 2.0},
+        "dynamics": {"momentum": [3.0, 4.0]},
+        "stable": True,
+        "none": None,
+    }
+    assert figure(summary, "energy") == 3.0 and figure(summary, "energy.b") == 2.0
+    assert figure(summary, "dynamics.momentum") == 5.0 and figure(summary, "dynamics.momentum.1") == 4.0
+    assert [figure(summary, name) for name in ("stable", "none", "energy.c", "dynamics.momentum.7")] == [
+        None
+    ] * 4
+
+
+def test_means_agree_between_meshes(tmp_path):
+    """Of a linear function over a line and an area, on every level; so means converge at the shape's own rate."""
+    from test_cli import cells
+
+    (tmp_path / "mesh.obj").write_text(cells())
+    for times in range(3):
+        surface = refine(read_mesh(tmp_path / "mesh.obj"), times, "shell.refine")
+        x = surface.points[:, 0]
+        for chosen, mean in (
+            (np.abs(surface.points[:, 1]) < 1e-12, 0.05),
+            (x < 0.0501, 0.025),
+            (x >= 0.0, 0.05),
+        ):
+            weight = mean_weights(surface, np.flatnonzero(chosen))
+            assert weight @ x / weight.sum() == pytest.approx(mean, abs=1e-12)
