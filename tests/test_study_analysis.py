@@ -29,20 +29,28 @@ def test_what_has_no_limit():
 
 @pytest.fixture
 def findings(tmp_path):
-    """findings(study, value, seconds): of runs whose value and seconds are functions of their settings."""
+    """findings(study, value, seconds, cpu): of runs whose value and seconds are functions of their settings."""
     from mesh_helpers import generator
 
     points, triangles = generator("strip").strip(length=1.0, width=0.1, size=0.1)
     write_obj(tmp_path / "strip.obj", points, triangles)
     (tmp_path / "scene.toml").write_text(SCENE)
 
-    def find(text, value, seconds):
+    def find(text, value, seconds, cpu=lambda s: None):
         (tmp_path / "study.toml").write_text(
             '[study]\nscene = "scene.toml"\nmeasure = "tip"\n' + text + POINT
         )
         plan = read_plan(tmp_path / "study.toml")
         records = [
-            Record(run.key, "converged", "", {"tip": value(run.effective)}, seconds(run.effective), 1)
+            Record(
+                run.key,
+                "converged",
+                "",
+                {"tip": value(run.effective)},
+                seconds(run.effective),
+                1,
+                cpu(run.effective),
+            )
             for run in plan.runs
         ]
         return analyse(plan, records)
@@ -95,6 +103,17 @@ def test_the_front_takes_no_heed_of_what_clocks_cannot_tell(findings):
     assert fronts == [[1, 3]] * 3
     best = [choice.row and choice.row.run.effective["refine"] for choice in found.choices]
     assert best == [3, None, None]
+
+
+@pytest.mark.parametrize(("clock", "front", "best"), [("wall", [1], 1), ("cpu", [0, 1], 0)])
+def test_front_and_choice_go_by_the_clock_asked_for(clock, front, best, findings):
+    """The exact run is as fast on the wall, by several processors, and slower in all of them together."""
+    text = f'reference = 1.0\naccuracy = [0.5]\nclock = "{clock}"\n[vary]\nrefine = [0, 1]\n'
+    found = findings(
+        text, lambda s: 1.2 - 0.1 * s["refine"], lambda s: 5.0, lambda s: 5.0 + 10.0 * s["refine"]
+    )
+    assert [row.run.effective["refine"] for row in found.front] == front
+    assert found.choices[0].row.run.effective["refine"] == best
 
 
 def test_figures_of_summaries():

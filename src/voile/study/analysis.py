@@ -164,9 +164,7 @@ def _measure(
 
 def _rated(rows: list[Row]) -> list[tuple[Row, float, float]]:
     """Rows with an error, that error and their seconds."""
-    return [
-        (r, r.error, r.record.seconds) for r in rows if r.error is not None and r.record.seconds is not None
-    ]
+    return [(r, r.error, r.seconds) for r in rows if r.error is not None and r.seconds is not None]
 
 
 def _alike(seconds: float, others: float) -> bool:
