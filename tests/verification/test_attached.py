@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from shells import mapped
 
 from voile.cli import main
 from voile.results import read_result, read_summary
+from voile.validate.shells import mapped
 
 YOUNG, THICKNESS, LENGTH, WIDTH, GRAVITY = 1e8, 1e-3, 0.4, 0.04, 9.81
 HEAD = f"""[shell]

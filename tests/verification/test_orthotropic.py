@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_shell import irregular_mesh
-from shells import mapped
 
 from voile.cli import main
 from voile.elastic import evaluate
@@ -16,6 +15,7 @@ from voile.problem.levels import coarsen
 from voile.results import read_result, read_summary
 from voile.scene.library import MEASURED, fabric
 from voile.scene.reader import read_scene
+from voile.validate.shells import mapped
 from voile.wiring import build_model
 
 YOUNG, WEFT, SHEAR, POISSON, THICKNESS = 1e8, 3e7, 8e6, 0.25, 1e-3

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from shells import mapped
 
 from voile.cli import main
 from voile.elastic.plate import plate_stiffness
+from voile.validate.shells import mapped
 
 HINGES = ({"model": "discrete-shells"}, {"model": "koiter", "bending": "average"}, {"model": "projective"})
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shells import mapped
 
 from voile.cli import main
 from voile.problem.stress_fields import FIELDS
 from voile.results import CELL_FIELDS, read_result
 from voile.scene.tasks import Output
+from voile.validate.shells import mapped
 
 ALL = ["membrane_force", "bending_moment", "strain", "stress", "von_mises", "energy_density"]
 YOUNG, POISSON, THICKNESS = 1e7, 0.3, 1e-3

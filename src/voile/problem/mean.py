@@ -1,4 +1,4 @@
-"""The mean of the elastic force along the way of a step in time.
+"""The mean of the elastic force, and of springs', along the way of a step in time.
 
 The mean over x_s = x_0 + s (x - x_0), 0 < s <= 1, works exactly minus the change of the elastic energy (the average
 vector field method of Quispel & McLaren 2008), so a scheme that uses it can neither gain nor lose elastic energy,
@@ -12,6 +12,7 @@ import numpy as np
 
 from voile import _kernels
 from voile.problem.elastic import Elastic
+from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
 
 Nodes = tuple[tuple[float, float], ...]  # places in (0, 1] along the way, with weights
@@ -80,18 +81,46 @@ class MeanElastic(Term):
 
     def _places(self, at: Point) -> Iterator[tuple[Elastic, Point, float, float]]:
         """(elastic, point, s, weight) of each node."""
-        start = self.start
-        origin = at.displacement - at.u
-        for number, (s, weight) in enumerate(self.nodes):
-            if s == 1.0:
-                yield self.elastic, at, s, weight
-                continue
-            displacement = start.displacement + s * (at.displacement - start.displacement)
-            there = replace(
-                at,
-                u=displacement - origin,
-                phi=start.phi + s * (at.phi - start.phi),
-                displacement=displacement,
-                positions=start.positions + s * (at.positions - start.positions),
-            )
-            yield self.elastic.twin(number), there, s, weight
+        for number, (there, s, weight) in enumerate(_places(self.start, at, self.nodes)):
+            yield self.elastic if s == 1.0 else self.elastic.twin(number), there, s, weight
+
+
+@dataclass
+class MeanTerm(Term):
+    """The same of another term, such as springs."""
+
+    term: Term
+    start: Point
+    nodes: Nodes
+
+    def energies(self, at: Point) -> dict[str, float]:
+        total: dict[str, float] = {}
+        for there, s, weight in _places(self.start, at, self.nodes):
+            for name, value in self.term.energies(there).items():
+                total[name] = total.get(name, 0.0) + weight / s * value
+        return total
+
+    def forces(self, at: Point) -> np.ndarray:
+        places = _places(self.start, at, self.nodes)
+        return np.sum([weight * self.term.forces(there) for there, _, weight in places], axis=0)
+
+    def blocks(self, at: Point, kind: str) -> Blocks:
+        places = list(_places(self.start, at, self.nodes))
+        for parts in zip(*(self.term.blocks(there, kind) for there, _, _ in places), strict=True):
+            shares = zip(parts, places, strict=True)
+            yield parts[0][0], np.sum([s * weight * values for (_, values), (_, s, weight) in shares], axis=0)
+
+
+def _places(start: Point, at: Point, nodes: Nodes) -> Iterator[tuple[Point, float, float]]:
+    """(point, s, weight) of each node on the way from `start` to `at`, which is that of s = 1 itself."""
+    origin = at.displacement - at.u
+    for s, weight in nodes:
+        displacement = start.displacement + s * (at.displacement - start.displacement)
+        there = replace(
+            at,
+            u=displacement - origin,
+            phi=start.phi + s * (at.phi - start.phi),
+            displacement=displacement,
+            positions=start.positions + s * (at.positions - start.positions),
+        )
+        yield at if s == 1.0 else there, s, weight

@@ -79,10 +79,10 @@ class Problem:
         other.terms = (*self.terms, *terms)
         return other
 
-    def with_means(self, elastic: Term, loads: Loads, *terms: Term) -> "Problem":
-        """The same problem with other elastic forces and loads, and more terms."""
-        other = copy.copy(self)
-        other.loads, other.terms = loads, (elastic, loads, *self.terms[2:], *terms)
+    def with_means(self, elastic: Term, loads: Loads, springs: tuple[Term, ...], *terms: Term) -> "Problem":
+        """The same problem with other elastic forces, loads and springs, and more terms."""
+        other, kept = copy.copy(self), self.terms[2 + len(self.springs) :]
+        other.loads, other.springs, other.terms = loads, springs, (elastic, loads, *springs, *kept, *terms)
         return other
 
     def with_contact(self, contact: Contact | None, *terms: Term) -> "Problem":

@@ -33,8 +33,9 @@ LOST = ("friction_dissipated", "impact_dissipated", "damping_dissipated")
 
 
 def created(entries: dict[str, float]) -> float:
-    """What a step with these entries takes from nowhere (J)."""
-    return entries["error"] - entries["scheme_dissipated"]
+    """What a step with these entries takes from nowhere (J). Impacts count with the scheme: what lands stops within the
+    step, and both are booked along its mean velocity."""
+    return entries["error"] - entries["scheme_dissipated"] - entries["impact_dissipated"]
 
 
 @dataclass
@@ -59,8 +60,8 @@ class Books:
 
     @property
     def created(self) -> float:
-        """What came from nowhere, by the scheme and by residuals (J)."""
-        return self.error - self.totals["scheme_dissipated"]
+        """What came from nowhere, see `created` of a step (J)."""
+        return created({"error": self.error, **self.totals})
 
     def kinetic(self, k: Kinematics) -> float:
         """J."""
@@ -83,7 +84,7 @@ class Books:
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
         inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
         elastic, loads = forces.elastic.forces(at), forces.loads(at)
-        springs = sum((term.forces(at) for term in problem.springs), np.zeros_like(loads))
+        springs = sum((term.forces(at) for term in forces.springs), np.zeros_like(loads))
         damping = forces.resistance(at, step.prediction)
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         work = {

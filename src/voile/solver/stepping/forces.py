@@ -6,7 +6,7 @@ import numpy as np
 
 from voile.problem.damping import Air, Damping, Viscous, Wind
 from voile.problem.inertia import Dead, Inertia
-from voile.problem.mean import END, MeanElastic, Nodes, mean_nodes
+from voile.problem.mean import END, MeanElastic, MeanTerm, Nodes, mean_nodes
 from voile.problem.problem import Problem
 from voile.problem.terms import Point, Term
 from voile.solver.stepping.schemes import Kinematics, Prediction, Scheme
@@ -31,6 +31,9 @@ class StepForces:
         problem, early = self.problem, self.scheme.early
         nodes = mean_nodes(2.0 * early)
         self.elastic = self._mean(nodes)
+        self.springs = problem.springs
+        if nodes != END:
+            self.springs = tuple(MeanTerm(term, self.start, nodes) for term in problem.springs)
         self.share, self.lag = self.damping.stiffness / self.h, np.zeros(problem.part.matrix.shape[0])
         self.late, dead = problem.loads, self.lag
         self.early = early * problem.loads.forces(self.start) if early else dead
@@ -42,7 +45,8 @@ class StepForces:
             damped, dead = self._mean(_with_end(nodes, self.share)), dead - self.lag
         if early and problem.loads.moments:
             damped = self._mean(_with_end(nodes, self.share))
-        self.given = problem.with_means(damped, self.late, *([Dead(dead, self._own())] if dead.any() else []))
+        late = [Dead(dead, self._own())] if dead.any() else []
+        self.given = problem.with_means(damped, self.late, self.springs, *late)
 
     def balance(self, prediction: Prediction) -> Problem:
         """The step's problem."""
