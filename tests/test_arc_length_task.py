@@ -39,6 +39,12 @@ select = { box = [[253, -1, -100], [300, 300, 100]] }
 control = "arc-length"
 """
 FORCE = ROOF[ROOF.index("[[loads.force]]") : ROOF.index("[[fix]]")]
+PLANE = """
+[[obstacle]]
+shape = "plane"
+point = [0, 0, -9.31]
+normal = [0, 0, 1]
+"""
 COLUMN = """
 [shell]
 mesh = "shell.obj"
@@ -142,6 +148,25 @@ def test_plots_and_films(scene, tmp_path):
         assert film.n_frames == result.n_steps
 
 
+def test_snaps_onto_an_obstacle(scene, tmp_path):
+    """The first limit point comes before it is touched; the end is that of statics under loads."""
+    ends, limits = [], []
+    for text in (ROOF, ROOF.replace("[statics]", PLANE + "[statics]")):
+        assert run(scene(text + "load_steps = 20\n"), "--set", "contact.offset=0") == 0
+        summary = read_summary(tmp_path / "out" / "summary.json")
+        limits.append(summary["limit_points"])
+        with read_result(tmp_path / "out") as result:
+            ends.append(result.points())
+    assert summary["contact"]["active"] > 0 and summary["contact"]["max_penetration"] < 1e-6
+    (free, *_), (bounded, *_) = limits
+    assert abs(free["load_factor"] - bounded["load_factor"]) < 1e-6
+    assert np.abs(ends[0] - ends[1]).max() > 1.0
+    text = ROOF.replace('"arc-length"', '"load"').replace("[statics]", PLANE + "[statics]")
+    assert run(scene(text), "--set", "contact.offset=0") == 0
+    with read_result(tmp_path / "out") as result:
+        np.testing.assert_allclose(result.points(), ends[1], rtol=0, atol=1e-5)
+
+
 def test_branches(scene, tmp_path):
     ends = []
     for branch in (0, 1):
@@ -193,8 +218,13 @@ def test_a_path_that_does_not_end(scene, tmp_path, capsys):
         ),
         (
             "[statics]",
-            '[[obstacle]]\nshape = "plane"\npoint = [0, 0, -90]\nnormal = [0, 0, 1]\n[statics]',
-            "obstacle: allowed",
+            PLANE + "friction = 0.1\n[statics]",
+            "obstacle.0.friction: 0.1; allowed with statics.control",
+        ),
+        (
+            "[statics]",
+            PLANE + "move = { displacement = [0, 0, 1.0] }\n[statics]",
+            "obstacle.0.move: allowed with statics.control",
         ),
         ("[statics]", "[contact]\nself_contact = true\n[statics]", "contact.self_contact: allowed"),
         (FORCE, "", "without a load"),
@@ -207,12 +237,16 @@ def test_bad_scenes(scene, capsys, old, new, message):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("text", "branch"), [(ROOF, 0), (COLUMN, 1)], ids=["roof", "column"])
+@pytest.mark.parametrize(
+    ("text", "branch"),
+    [(ROOF, 0), (ROOF.replace("[statics]", PLANE + "[statics]"), 0), (COLUMN, 1)],
+    ids=["roof", "contact", "column"],
+)
 def test_ranks_agree(scene, tmp_path, run_on, text, branch):
     path, found, ends = scene(text.replace("[statics]", f"[statics]\nbranch = {branch}")), [], []
     for ranks in (1, 2, 4):
         out = tmp_path / str(ranks)
-        run_on(ranks, path, out)
+        run_on(ranks, path, out, 300)
         summary = read_summary(out / "summary.json")
         found.append(
             [[p["load_factor"], p["displacement"]] for p in summary["limit_points"] + summary["bifurcations"]]

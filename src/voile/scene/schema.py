@@ -311,9 +311,14 @@ class Scene:
                 'allowed with statics.control = "arc-length": supports that do not move',
                 ("fix", moving[0], "move"),
             )
-        if self.obstacle or self.contact.self_contact:
-            where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
-            raise Rejected('allowed with statics.control = "arc-length": no contact', where)
+        if self.contact.self_contact:
+            raise Rejected('allowed with statics.control = "arc-length": false', ("contact", "self_contact"))
+        allowed = 'allowed with statics.control = "arc-length"'
+        for index, body in enumerate(self.obstacle):
+            if body.move:
+                raise Rejected(f"{allowed}: obstacles that do not move", ("obstacle", index, "move"))
+            if body.friction:
+                raise Rejected(f"{body.friction:g}; {allowed}: 0", ("obstacle", index, "friction"))
 
     def _check_estimate(self) -> None:
         if not self.inverse.also:

@@ -1,8 +1,9 @@
 """Equilibria along the arc of a path, through limit points and onto bifurcated branches.
 
 Unknowns are the shape y and the load factor t. From an equilibrium with the unit direction v of the path (Riks 1979,
-Keller 1977) the next one is the solution of R(y, t) = 0 on the plane <v, y - y_0> = s. The product is that of the
-mass: s is the root mean square motion of the unknowns over the shell's size. Newton steps are those of `mixed_newton`:
+Keller 1977) the next one is the solution of R(y, t) = 0 on the plane <v, (y - y_0, t - t_0)> = s. The product is that
+of the mass, for motions over the shell's size, and of load factors, which count as what they move at the start. So s
+does not depend on the mesh. Newton steps are those of `mixed_newton`:
 the first goes along v with the exact tangent, the others have stresses extrapolated from the last iterate (Magisano,
 Leonetti & Garcea 2017). Each factorisation serves two systems, for the residual and for the load.
 """
@@ -13,19 +14,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from voile.contact.contact import Linearised
 from voile.problem.problem import Problem
 from voile.problem.state import State, difference
 from voile.solver.methods.method import Workspace
+from voile.solver.methods.semismooth import law_norms
 from voile.solver.methods.steps import Stall, factor, limit, to_round_off
 
 ITERATIONS = 15  # of a step at most
+CORRECTIONS = 3  # solves that turn penalties into constraints, as of the semismooth method
 INVERSE = 8  # iterations, next to an eigenvalue of zero
 
 
 @dataclass
 class Place:
     """An equilibrium at a load factor; the unit direction of its path, by which the factor changes by `slope`;
-    negative: eigenvalues of its tangent, None where the loads have no potential."""
+    negative: eigenvalues of its tangent, None where the loads have no potential; touching: this rank's contacts."""
 
     state: State
     factor: float
@@ -35,19 +39,87 @@ class Place:
     direction: PETSc.Vec = field(repr=False)
     slope: float = 0.0
     negative: int | None = None
+    touching: list[tuple[bytes, ...]] = field(default_factory=list)
+
+
+class Linear:
+    """The equations of equilibrium, and the laws of contact without friction, linearised at y: one factorisation."""
+
+    def __init__(self, work: Workspace, problem: Problem, y: PETSc.Vec, kind: str):
+        self.work, self.problem, self.y, contact = work, problem, y, problem.contact
+        if contact is None:
+            self.laws: list[Linearised] = []
+            self.solver = factor(work, problem, y, kind)
+            return
+        self.laws = [contact.linearise(problem.positions(y), problem.time) for _ in range(2)]
+        problem.tangent(y, work.matrix, kind, self.laws[0].blocks())
+        self.solver = work.symmetric
+        self.solver.factor(work.matrix)
+
+    def steps(self, residual: PETSc.Vec, load: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
+        """Newton's step for a residual (N) without reactions, and what the whole load (N) adds to it."""
+        newton, loaded = residual.duplicate(), residual.duplicate()
+        if not self.laws:
+            self.solver.solve(residual, newton)
+            newton.scale(-1.0)
+            self.solver.solve(load, loaded)
+            return newton, loaded
+        more = difference(residual, load)
+        self._laws_kept(self.laws[0], residual, newton)
+        self._laws_kept(self.laws[1], more, loaded)
+        loaded.axpy(-1.0, newton)
+        return newton, loaded
+
+    def take(self, change: float, share: float) -> None:
+        """The reactions go a share of the way to those of Newton's step, with a change of the load factor."""
+        if not self.laws:
+            return
+        for here, more in zip(self.laws[0].parts, self.laws[1].parts, strict=True):
+            here.normal += change * (more.normal - here.normal)
+            here.friction += change * (more.friction - here.friction)
+        self.laws[0].reactions(share)
+
+    def states(self) -> list[tuple[bytes, ...]]:
+        """Which contacts are active on this rank."""
+        return self.laws[0].states() if self.laws else []
+
+    def _laws_kept(self, laws: Linearised, residual: PETSc.Vec, step: PETSc.Vec) -> None:
+        """The step on which active contacts stay closed: the penalties' share goes into the reactions."""
+        problem = self.problem
+        image, part, f = (step.duplicate() for _ in range(3))
+        step.set(0.0)
+        for _ in range(CORRECTIONS):
+            residual.copy(f)
+            f.array[:] -= problem.layout.collect(problem.point(self.y).over_dofs(laws.force()))
+            self.work.matrix.mult(step, image)
+            f.axpy(1.0, image)
+            self.solver.solve(f, part)
+            step.axpy(-1.0, part)
+            laws.advance(problem.motion(step))
 
 
 class Arc:
-    """The equilibria of a problem without contact whose supports do not move; tolerance: of the residual (N)."""
+    """The equilibria of a problem whose supports and obstacles do not move, and on which nothing rubs; tolerance: of
+    the residual (N)."""
 
     def __init__(self, problem: Problem, work: Workspace, tolerance: float):
         self.problem, self.work, self.tolerance = problem, work, tolerance
         self.weight = problem.mass()
         self.weight.array[problem.layout.axis == 3] = 0.0  # directors follow
         self.weight.scale(1.0 / (self.weight.sum() * problem.size() ** 2))
+        self.psi = 0.0  # sizes that a unit of the load factor counts as
+
+    def along(self, place: Place, other: Place) -> float:
+        """How far another place is along the direction of one (sizes)."""
+        ahead = self.product(place.direction, self.between(place, other))
+        return ahead + self.psi**2 * place.slope * (other.factor - place.factor)
+
+    def cosine(self, a: Place, b: Place) -> float:
+        """Of the angle between two places' directions."""
+        return self.product(a.direction, b.direction) + self.psi**2 * a.slope * b.slope
 
     def product(self, a: PETSc.Vec, b: PETSc.Vec) -> float:
-        """Of two directions (sizes^2)."""
+        """Of two motions (sizes^2)."""
         weighed = a.duplicate()
         weighed.pointwiseMult(self.weight, b)
         return weighed.dot(a)
@@ -66,6 +138,12 @@ class Arc:
         """Those of a place, counted from the present origin."""
         return self.problem.unknowns_of(place.state)
 
+    def back(self, place: Place) -> PETSc.Vec:
+        """The same, and contact remembers what it did there."""
+        y = self.problem.create_vector()
+        self.problem.restore(y, place.state)
+        return y
+
     def between(self, a: Place, b: Place) -> PETSc.Vec:
         """The way from one place to another."""
         return difference(self.unknowns(b), self.unknowns(a))
@@ -73,12 +151,20 @@ class Arc:
     def start(self) -> Place | None:
         """The equilibrium of the unloaded shell next to where it starts."""
         y = self.problem.create_vector()
-        place = self._correct(Place(self.problem.save(y), 0.0, 0, 0.0, "", y), y.duplicate(), 0.0, None, 0.0)
-        return place if place and self.aim(place, None) else None
+        if self.problem.contact:
+            self.problem.contact.begin(self.problem.positions(y), 0.0)
+        place = self._correct(
+            Place(self.problem.save(y), 0.0, 0, 0.0, "", y), y.duplicate(), 0.0, None, 0.0, 0.0
+        )
+        if not (place and self.aim(place, self.problem.create_vector(), 1.0)):
+            return None
+        self.psi = 1.0 / place.slope
+        self.aim(place, place.direction, place.slope)
+        return place
 
     def softest(self, place: Place, guess: PETSc.Vec) -> tuple[float, PETSc.Vec]:
         """The eigenvalue of the tangent nearest to zero (over the product), and its unit vector: inverse iteration."""
-        linear = factor(self.work, self.problem.at(place.factor), self.unknowns(place), "exact")
+        linear = Linear(self.work, self.problem.at(place.factor), self.back(place), "exact").solver
         x, weighed, value = guess.copy(), guess.duplicate(), 0.0
         for _ in range(INVERSE):
             x.scale(1.0 / self.norm(x))
@@ -99,53 +185,55 @@ class Arc:
         work, size = self.problem.comm.allreduce(sums)
         return float(work / size)
 
-    def aim(self, place: Place, along: PETSc.Vec | None) -> bool:
-        """Gives a place the direction of its path, on along another one; upwards without. False where there is none."""
-        problem, y = self.problem.at(place.factor), self.unknowns(place)
-        linear, b = factor(self.work, problem, y, "exact"), y.duplicate()
-        if not linear.usable:
+    def aim(self, place: Place, before: PETSc.Vec, slope: float) -> bool:
+        """Gives a place the direction of its path, on along the direction before. False where there is none."""
+        problem, y = self.problem.at(place.factor), self.back(place)
+        linear, residual = Linear(self.work, problem, y, "exact"), y.duplicate()
+        if not linear.solver.usable:
             return False
-        linear.solve(self.load(y), b)
-        size = self.norm(b)
+        problem.residual(y, residual)
+        _, b = linear.steps(residual, self.load(y))
+        size = math.hypot(self.norm(b), self.psi)
         if not 0.0 < size < np.inf:
             return False
-        sign = -1.0 if along is not None and self.product(along, b) < 0.0 else 1.0
+        sign = math.copysign(1.0, self.product(before, b) + (self.psi or 1.0) ** 2 * slope)
         b.scale(sign / size)
         place.direction, place.slope = b, sign / size
-        place.negative = linear.negative if problem.conservative else None
+        place.negative = linear.solver.negative if problem.conservative else None
+        place.touching = linear.states()
         return True
 
-    def advance(
-        self, place: Place, length: float, direction: PETSc.Vec | None = None, slope: float | None = None
-    ):
-        """The equilibrium that lies so far along the path's direction, or along another; None where there is none."""
-        v = place.direction if direction is None else direction
+    def follow(self, place: Place, length: float) -> Place | None:
+        """The equilibrium that lies so far along the path's direction, with its own; None where there is none."""
+        there = self.advance(place, length, place.direction, place.slope)
+        return there if there and self.aim(there, place.direction, place.slope) else None
+
+    def advance(self, place: Place, length: float, v: PETSc.Vec, slope: float) -> Place | None:
+        """The equilibrium that lies so far along a direction; None where there is none."""
         way = v.copy()
         way.scale(length)
-        return self._correct(
-            place, way, place.factor + length * (place.slope if slope is None else slope), v, length
-        )
+        return self._correct(place, way, place.factor + length * slope, v, slope, length)
 
     def reach(self, place: Place, beyond: Place, target: float) -> Place | None:
         """The equilibrium at a load factor between those of two places."""
         way = self.between(place, beyond)
         way.scale((target - place.factor) / (beyond.factor - place.factor))
-        return self._correct(place, way, target, None, 0.0)
+        return self._correct(place, way, target, None, 0.0, 0.0)
 
     def _correct(
-        self, place: Place, way: PETSc.Vec, t: float, v: PETSc.Vec | None, length: float
+        self, place: Place, way: PETSc.Vec, t: float, v: PETSc.Vec | None, slope: float, length: float
     ) -> Place | None:
-        """Newton's method from a first step on: on the plane a length along v, or, without one, at the factor t."""
-        problem, y, stall, kind, sharp = self.problem, self.unknowns(place), Stall(), "mixed", False
-        residual, a, b = (y.duplicate() for _ in range(3))
+        """Newton's method from a first step on: on the plane a length along (v, slope), or, without v, at the factor
+        t."""
+        problem, y, stall, kind, sharp = self.problem, self.back(place), Stall(), "mixed", False
+        residual = y.duplicate()
         if limit(problem.at(t), y, way) < 1.0:
             return None
         problem.predict(y, way)
         y.axpy(1.0, way)
         for it in range(1, ITERATIONS + 1):
             now = problem.at(t)
-            now.residual(y, residual)
-            norm = residual.norm()
+            norm = self._norm(now, y, residual)
             if not np.isfinite(norm):
                 return None
             if self.work.monitor:
@@ -159,19 +247,28 @@ class Arc:
             if reason:
                 return Place(now.save(y), t, it, norm, reason, way)
             self.work.counts.iterations += 1
-            linear = factor(self.work, now, y, kind)
+            linear = Linear(self.work, now, y, kind)
             kind = "mixed"
-            if not linear.usable:
+            if not linear.solver.usable:
                 return None
-            linear.solve(residual, a)
-            a.scale(-1.0)
+            now.residual(y, residual)
+            a, b = linear.steps(residual, self.load(y))
+            change = 0.0
             if v is not None:
-                linear.solve(self.load(y), b)
-                change = length - self.product(v, difference(y, self.unknowns(place))) - self.product(v, a)
-                change /= self.product(v, b)
+                missing = length - self.psi**2 * slope * (t - place.factor)
+                missing -= self.product(v, difference(y, self.unknowns(place))) + self.product(v, a)
+                change = missing / (self.product(v, b) + self.psi**2 * slope)
                 a.axpy(change, b)
             share = limit(now, y, a)
-            t += share * change if v is not None else 0.0
+            linear.take(change, share)
+            t += share * change
             problem.predict(y, a)
             y.axpy(1.0, a)
         return None
+
+    def _norm(self, problem: Problem, y: PETSc.Vec, residual: PETSc.Vec) -> float:
+        """Of the residual, with what the laws of contact miss (N)."""
+        if problem.contact:
+            return float(np.hypot(*law_norms(problem, y, residual, self.tolerance)))
+        problem.residual(y, residual)
+        return residual.norm()

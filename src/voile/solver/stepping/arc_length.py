@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile.errors import NotConverged
+from voile.problem.contact import contact_report
 from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.solver.methods.method import Workspace
@@ -79,7 +80,7 @@ class ArcPath:
             return
         self.last = here
         self._go(here)
-        self.arc.unknowns(self.last).copy(self.path.state)
+        self.arc.back(self.last).copy(self.path.state)
 
     def _go(self, here: Place) -> None:
         """From place to place until the end."""
@@ -113,25 +114,25 @@ class ArcPath:
     def _next(self, here: Place, length: float, sharp: bool) -> Place | None:
         """The end of a step; None where it has to be shorter."""
         arc = self.arc
-        there = arc.advance(here, length)
-        if there is None or not arc.aim(there, arc.between(here, there)):
+        there = arc.follow(here, length)
+        if there is None:
             return None
-        turned = arc.product(here.direction, there.direction) < self.options.turn
+        turned = arc.cosine(here, there) < self.options.turn
         if not sharp and (turned or self._bend(here, there) > 1.0):
             return None
         if abs(there.factor) > (1.0 - ALMOST) * self.most:
             end = arc.reach(here, there, float(np.copysign(self.most, there.factor)))
-            return end if end and arc.aim(end, arc.between(here, end)) else None
+            return end if end and arc.aim(end, here.direction, here.slope) else None
         return there
 
     def _bend(self, here: Place, there: Place) -> float:
         """How far the load factor is from a straight line, over what is allowed."""
-        length = self.arc.product(here.direction, self.arc.between(here, there))
-        return abs(there.factor - here.factor - length * here.slope) / (self.options.bend * self.cap)
+        straight = self.arc.along(here, there) * here.slope
+        return abs(there.factor - here.factor - straight) / (self.options.bend * self.cap)
 
     def _keep(self, place: Place, method: str) -> None:
         """A place becomes a step of the path."""
-        self.last, y = place, self.arc.unknowns(place)
+        self.last, y = place, self.arc.back(place)
         done = LoadStep(
             place.factor,
             place.iterations,
@@ -139,7 +140,7 @@ class ArcPath:
             self.arc.tolerance,
             self.problem.at(place.factor).energies(y),
             place.negative,
-            None,
+            contact_report(self.problem.at(place.factor), y) if self.problem.contact else None,
             method,
             place.reason,
             self.arc.along_load(place),
@@ -158,9 +159,9 @@ class ArcPath:
         turns = a.slope * b.slope < 0.0
         if turns:
             events.append(("limit point", self._limit(a, b)))
-        if _changed(a, b):
+        if self._changed(a, b):
             events.append(("bifurcation", self._bifurcation(a, b)))
-        events.sort(key=lambda event: self.arc.product(a.direction, self.arc.between(a, event[1])))
+        events.sort(key=lambda event: self.arc.along(a, event[1]))
         for kind, place in events:
             self.found.append(Critical(kind, place, self.arc.along_load(place)))
             self._keep(place, kind)
@@ -171,12 +172,12 @@ class ArcPath:
     def _limit(self, a: Place, b: Place) -> Place:
         """Where the load factor is greatest or least between two places: regula falsi (Illinois) on its slope."""
         arc, best = self.arc, b if abs(b.slope) < abs(a.slope) else a
-        low, high = 0.0, arc.product(a.direction, arc.between(a, b))
+        low, high = 0.0, arc.along(a, b)
         at_low, at_high, curvature = a.slope, b.slope, abs(b.slope - a.slope) / high
         for _ in range(self.options.searches):
             length = (low * at_high - high * at_low) / (at_high - at_low)
-            place = arc.advance(a, length)
-            if place is None or not arc.aim(place, a.direction):
+            place = arc.follow(a, length)
+            if place is None:
                 break
             best = place
             if place.slope**2 < 2.0 * curvature * self.options.flat * max(
@@ -192,18 +193,18 @@ class ArcPath:
     def _bifurcation(self, a: Place, b: Place) -> Place:
         """Where the inertia changes between two places: halving, then its eigenvalue is linear."""
         arc, left, right = self.arc, a, b
-        length = arc.product(a.direction, arc.between(a, b))
+        length = arc.along(a, b)
         for _ in range(self.options.halvings):
-            middle = arc.advance(left, 0.5 * length)
-            if middle is None or not arc.aim(middle, left.direction):
+            middle = arc.follow(left, 0.5 * length)
+            if middle is None:
                 break
             length *= 0.5
-            left, right = (left, middle) if _changed(left, middle) else (middle, right)
+            left, right = (left, middle) if self._changed(left, middle) else (middle, right)
         field = imperfection(self.problem)
         values = [arc.softest(place, field)[0] for place in (left, right)]
         share = values[0] / (values[0] - values[1]) if values[0] * values[1] < 0.0 else 0.5
-        arc.aim(left, left.direction)
-        place = arc.advance(left, share * length) or left
+        arc.aim(left, left.direction, left.slope)
+        place = arc.advance(left, share * length, left.direction, left.slope) or left
         place.direction, place.slope, place.negative = left.direction, left.slope, left.negative
         return place
 
@@ -216,16 +217,15 @@ class ArcPath:
         length = off / self.problem.largest_motion(way)
         for further in (1.0, 4.0, 0.25, 16.0):
             there = arc.advance(place, further * length, way, 0.0)
-            if there and arc.aim(there, way):
+            if there and arc.aim(there, way, 0.0):
                 return there, further * length
         raise NotConverged(
             f"statics.branch = {self.branch}: no equilibrium is found beside the bifurcation at load factor "
             f"{place.factor:g}"
         )
 
-
-def _changed(a: Place, b: Place) -> bool:
-    """Whether the inertia changes otherwise than by a limit point."""
-    if a.negative is None or b.negative is None:
-        return False
-    return abs(b.negative - a.negative) != (a.slope * b.slope < 0.0)
+    def _changed(self, a: Place, b: Place) -> bool:
+        """Whether the inertia changes otherwise than by a limit point, or by contacts that open or close."""
+        if a.negative is None or b.negative is None or not self.problem.everywhere(a.touching == b.touching):
+            return False
+        return abs(b.negative - a.negative) != (a.slope * b.slope < 0.0)
