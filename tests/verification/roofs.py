@@ -6,9 +6,11 @@ import numpy as np
 from mesh_helpers import generator
 from scipy.integrate import solve_bvp
 from scipy.special import ellipk
-from shells import line_force, make, mapped, only
+from shells import make
 
 from voile.problem.shell import Shell
+from voile.validate.shapes import shared_by_length
+from voile.validate.shells import mapped, only
 
 
 def hinged_roof(around: int, along: int, thickness: float, load: float) -> tuple[Shell, int]:
@@ -16,12 +18,12 @@ def hinged_roof(around: int, along: int, thickness: float, load: float) -> tuple
     u, v, triangles, side = mapped(around, along, "alternating")
     angle, radius = 0.1 * u, 2540.0
     points = np.column_stack([radius * np.sin(angle), 254.0 * v, radius * (np.cos(angle) - np.cos(0.1))])
-    points[side["u0"], 0] = 0.0
-    fixed = np.column_stack([side["u0"], side["v0"], np.zeros(len(u), dtype=bool)])
-    fixed[side["u1"]] = True
-    middle, force = only(side["u0"] & side["v0"]), np.zeros_like(points)
+    points[side.u0, 0] = 0.0
+    fixed = np.column_stack([side.u0, side.v0, np.zeros(len(u), dtype=bool)])
+    fixed[side.u1] = True
+    middle, force = only(side.u0 & side.v0), np.zeros_like(points)
     force[middle, 2] = -0.25 * load
-    planes = [side["u0"], side["v0"]]
+    planes = [side.u0, side.v0]
     given = {"thickness": thickness, "young": 3102.75, "poisson": 0.3}
     return replace(make(points, triangles, fixed, planes, **given), force=force), middle
 
@@ -33,11 +35,11 @@ def pinned_strip(n: int, load: float) -> Shell:
     points = np.column_stack([u, v / n, np.zeros(len(u))])
     fixed = np.zeros((len(u), 3), dtype=bool)
     fixed[:, 1] = True
-    fixed[side["u0"]] = True
-    fixed[side["u1"], 2] = True
+    fixed[side.u0] = True
+    fixed[side.u1, 2] = True
     shell = make(points, triangles, fixed, [], thickness=1e-3, young=1e9, poisson=0.0)
     euler = np.pi**2 * 1e9 * 1e-9 / 12.0 / n
-    return replace(shell, force=line_force(points, side["u1"], np.array([-load * euler, 0.0, 0.0])))
+    return replace(shell, force=shared_by_length(points, side.u1, np.array([-load * euler, 0.0, 0.0])))
 
 
 def elastica(angle: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from mesh_helpers import generator
 from mpi4py import MPI
 from scipy.linalg import eigh
 from scipy.optimize import brentq
-from shells import line_force, make, mapped
+from shells import make
 
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
@@ -17,6 +17,8 @@ from voile.solver.linear import Counts
 from voile.solver.modes import Modes, buckling, vibrations
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
+from voile.validate.shapes import shared_by_length
+from voile.validate.shells import Sides, mapped
 
 YOUNG, POISSON, THICKNESS, DENSITY = 1e9, 0.3, 0.01, 1000.0
 BENDING = YOUNG * THICKNESS**3 / (12.0 * (1.0 - POISSON**2))  # N m
@@ -51,17 +53,17 @@ def factors(shell: Shell, count: int) -> np.ndarray:
 # ---- plates ----
 
 
-def plate(n: int, held: str, length: float = 1.0) -> tuple[Shell, dict[str, np.ndarray]]:
+def plate(n: int, held: str, length: float = 1.0) -> tuple[Shell, Sides]:
     """A square (or length x 1) plate of n cells to a metre: cantilever, free, or simply supported. And its sides."""
     u, v, triangles, side = mapped(round(n * length), n, "alternating")
     points = np.column_stack([length * u, v, np.zeros(len(u))])
     fixed, clamped = np.zeros((len(u), 3), dtype=bool), []
     if held == "cantilever":
-        fixed[side["u0"]], clamped = True, [side["u0"]]
+        fixed[side.u0], clamped = True, [side.u0]
     elif held == "supported":
-        fixed[np.any(list(side.values()), axis=0), 2] = True
-        fixed[side["u0"], 0] = True
-        fixed[side["u0"] & side["v0"], 1] = True
+        fixed[np.any(side, axis=0), 2] = True
+        fixed[side.u0, 0] = True
+        fixed[side.u0 & side.v0, 1] = True
     shell = make(points, triangles, fixed, clamped, thickness=THICKNESS, young=YOUNG, poisson=POISSON)
     return shell, side
 
@@ -106,7 +108,7 @@ def clamped_disc(size: float) -> Shell:
 def pushed_plate(n: int, length: float) -> Shell:
     """A simply supported plate under a unit force per width along x."""
     shell, side = plate(n, "supported", length)
-    share = np.where(side["v0"] | side["v1"], 0.5, 1.0) * side["u1"]
+    share = np.where(side.v0 | side.v1, 0.5, 1.0) * side.u1
     force = np.zeros_like(shell.points)
     force[:, 0] = -share / share.sum()
     return replace(shell, force=force)
@@ -123,8 +125,8 @@ def beam(n: int, held: str, width: float = 0.05) -> Shell:
     fixed[:, :2] = True
     ends = {"pinned": ("u0", "u1"), "clamped-free": ("u0",), "clamped": ("u0", "u1")}[held]
     for end in ends:
-        fixed[side[end]] = True
-    clamped = [side[end] for end in ends] if held != "pinned" else []
+        fixed[getattr(side, end)] = True
+    clamped = [getattr(side, end) for end in ends] if held != "pinned" else []
     return make(points, triangles, fixed, clamped, thickness=THICKNESS, young=YOUNG, poisson=0.0)
 
 
@@ -134,7 +136,7 @@ def hanging_chain(n: int) -> Shell:
     points = np.column_stack([np.zeros(len(u)), 0.05 * v, -u])
     fixed = np.zeros((len(u), 3), dtype=bool)
     fixed[:, 1] = True
-    fixed[side["u0"]] = True
+    fixed[side.u0] = True
     gravity = np.array([0.0, 0.0, -9.81])
     return make(
         points,
@@ -156,7 +158,7 @@ def stretched(n: int, strain: float = 1e-3) -> Shell:
     """A square membrane, nu = 0, its sides moved apart by a strain along x and y."""
     u, v, triangles, side = mapped(n, n, "alternating")
     points = np.column_stack([u, v, np.zeros(len(u))])
-    rim = np.any(list(side.values()), axis=0)
+    rim = np.any(side, axis=0)
     fixed = np.repeat(rim[:, None], 3, axis=1)
     shell = make(points, triangles, fixed, [], thickness=1e-4, young=YOUNG, poisson=0.0, model="membrane")
     return replace(shell, motion=strain * points * rim[:, None])
@@ -170,7 +172,7 @@ def blown_arc(n: int, half: float = 0.8, strain: float = 1e-6) -> Shell:
     points = np.column_stack([np.sin(angle), v * 2.0 * half / n, np.cos(angle)])
     fixed = np.zeros((len(u), 3), dtype=bool)
     fixed[:, 1] = True
-    fixed[side["u0"] | side["u1"]] = True
+    fixed[side.u0 | side.u1] = True
     shell = make(points, triangles, fixed, [], thickness=1e-3, young=YOUNG, poisson=0.0, model="membrane")
     return replace(shell, pressure=YOUNG * 1e-3 * strain)
 
@@ -230,7 +232,7 @@ def edge_strip(height: float, thin: float, nx: int, ny: int, poisson: float) -> 
     u, v, triangles, side = mapped(nx, ny, "alternating")
     points = np.column_stack([u, height * v, np.zeros(len(u))])
     given = {"thickness": height / thin, "young": YOUNG, "poisson": poisson}
-    return make(points, triangles, side["u0"], [side["u0"]], **given), side["u1"]
+    return make(points, triangles, side.u0, [side.u0], **given), side.u1
 
 
 def own_weight(height: float, thin: float, nx: int, ny: int, poisson: float) -> float:
@@ -243,7 +245,7 @@ def own_weight(height: float, thin: float, nx: int, ny: int, poisson: float) -> 
 def tip_load(height: float, thin: float, nx: int, ny: int) -> float:
     """Tip load over sqrt(E I G J) / L^2 at which a strip on edge buckles sideways, nu = 0."""
     shell, tip = edge_strip(height, thin, nx, ny, 0.0)
-    shell = replace(shell, force=line_force(shell.points, tip, np.array([0.0, -1.0, 0.0])))
+    shell = replace(shell, force=shared_by_length(shell.points, tip, np.array([0.0, -1.0, 0.0])))
     h = height / thin
     stiffness = YOUNG * np.sqrt(height * h**3 / 12.0 * 0.5 * height * h**3 / 3.0)
     return float(factors(shell, 1)[0] / stiffness)
@@ -268,7 +270,7 @@ def resting_strip() -> Shell:
     points = np.column_stack([u, 0.1 * v, np.zeros(len(u))])
     gravity = np.array([0.0, 0.0, -9.81])
     given = {"thickness": 0.01, "young": 2e8, "poisson": 0.3, "gravity": gravity}
-    return make(points, triangles, side["u0"], [side["u0"]], **given)
+    return make(points, triangles, side.u0, [side.u0], **given)
 
 
 def held_at(shell: Shell, problem: Problem, y, vertices: np.ndarray, axes: list[int]) -> Shell:
