@@ -28,8 +28,8 @@ def roll(bench: Bench, turns: float, nx: int) -> tuple[Outcome, float, float]:
     x, angle = done.positions(), 2.0 * np.pi * turns
     place = np.array([np.sin(angle), 1.0 - np.cos(angle)]) / angle
     away = np.linalg.norm(x[end][:, [0, 2]].mean(axis=0) - place)
-    middle = np.abs(mesh.points[:, 1] - 0.5 * WIDTH) < CLAMP
-    line = x[middle][np.argsort(mesh.points[middle, 0])][:, [0, 2]]
+    side = mesh.points[:, 1] < CLAMP
+    line = x[side][np.argsort(mesh.points[side, 0])][:, [0, 2]]
     step = np.diff(line, axis=0)
     direction = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     turned = (direction[-1] - direction[0]) * len(step) / (len(step) - 1)  # from middle to middle of cells
