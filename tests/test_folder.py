@@ -3,6 +3,11 @@
 import fcntl
 import json
 import os
+import resource
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -123,3 +128,112 @@ def test_a_link_in_place_of_the_record(voile, tmp_path):
     code, said = voile("one")
     assert code == 2 and ".voile-run: cannot be opened" in said
     assert (tmp_path / "precious").read_text() == "precious"
+
+
+DYNAMICS = '[scene]\ntask = "dynamics"\n[dynamics]\nduration = 1e3\ntime_step = 0.01\n'
+
+
+@pytest.mark.parametrize("room", [200_000, 400_000])
+def test_a_full_disk_ends_a_run_with_a_message(voile, room):
+    """The steps so far are readable, and the summary says why."""
+    (voile.folder.parent / "long.toml").write_text(DYNAMICS + SCENE)
+    done = subprocess.run(
+        [sys.executable, "-m", "voile.cli", "run", voile.folder.parent / "long.toml", "-o", voile.folder],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 3 and "cannot be written: File too large" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "File too large" in json.loads((voile.folder / "summary.json").read_text())["reason"]
+    with read_result(voile.folder) as result:
+        assert result.n_steps >= 16 and abs(result.points()).max() < 1.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_one_rank_ends_all_of_them(voile, mpirun, number):
+    scene = voile.folder.parent / "long.toml"
+    scene.write_text(DYNAMICS + SCENE)
+    program = (
+        "import os, signal, sys, threading, time\n"
+        "from mpi4py import MPI\n"
+        "def tell():\n"
+        f"    while not os.path.exists({str(voile.folder / 'result.vtkhdf')!r}):\n"
+        "        time.sleep(0.1)\n"
+        f"    os.kill(os.getpid(), {int(number)})\n"
+        "if MPI.COMM_WORLD.rank == 1:\n"
+        "    threading.Thread(target=tell, daemon=True).start()\n"
+        "from voile.cli import main\n"
+        f"sys.exit(main(['run', {str(scene)!r}, '-o', {str(voile.folder)!r}]))\n"
+    )
+    done = mpirun(2, [sys.executable, "-c", program], 200)
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.count("stopped by a signal") == 1
+    assert json.loads((voile.folder / "summary.json").read_text())["reason"] == "stopped by a signal"
+    assert read_result(voile.folder).n_steps >= 1
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.6])
+def test_ctrl_c_at_the_start_leaves_no_traceback(voile, seconds):
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from voile.cli import main; print(flush=True); sys.exit(main())",
+    ]
+    with subprocess.Popen(
+        [*command, "run", voile.folder.parent / "one.toml", "-o", voile.folder],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout
+        process.stdout.readline()
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=100)[1]
+    assert "Traceback" not in said and process.returncode in (0, 3, 130)
+
+
+def test_too_little_memory_is_told(voile):
+    done = subprocess.run(
+        [sys.executable, "-m", "voile.cli", "run", voile.folder.parent / "one.toml", "-o", voile.folder],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (400 << 20, 400 << 20)),
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert "the address space is limited to 400 MiB (ulimit -v); allowed: from 1024 MiB" in done.stderr
+
+
+def test_a_tolerance_above_the_scene_s_is_no_convergence(voile):
+    from voile.petsc_options import options_of_run, start_petsc
+
+    start_petsc()
+    with options_of_run(["-snes_atol", "1e30"]):
+        code, said = voile("one")
+    assert code == 3 and "the option -snes_atol 1e+30 is above it" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [
+        (STRIP.replace("v 0.05 ", "v 1e300 "), "allowed: at most 1e+30"),
+        ("v 0 0 0\nv 1e-150 0 0\nv 0 1e-150 0\nf 1 2 3\n", "smaller than 1e-30 m"),
+        (STRIP + "\nstitch 5 5 5 0.5\n", "ties vertex 5"),
+        (STRIP + "\nf 1 \x1b[31m 3\n", "\\x1b[31m"),
+    ],
+)
+def test_meshes_beyond_numbers_and_terminals(voile, text, allowed):
+    (voile.folder.parent / "strip.obj").write_text(text)
+    code, said = voile("one")
+    assert code == 2 and allowed in said and said.strip().isprintable() and "Warning" not in said
+
+
+def test_stitches_in_a_circle_are_told(voile):
+    (voile.folder.parent / "strip.obj").write_text(STRIP + "\nstitch 0 1 1 0\nstitch 1 0 0 0\n")
+    voile("one")
+    notes = json.loads((voile.folder / "summary.json").read_text())["notes"]
+    assert any("2 stitches join vertices in a circle" in note for note in notes)

@@ -9,11 +9,14 @@ comes before numpy and PETSc. A user's own OPENBLAS_CORETYPE stays.
 import ctypes
 import importlib.util
 import os
+import resource
 from collections.abc import MutableMapping, Set
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from voile.errors import InputError
 
 # OpenBLAS' kernels for Intel's processors before AVX2: on a processor with AVX2 they are a fallback.
 OLD_CORES = {"Prescott", "Core2", "Penryn", "Dunnington", "Nehalem", "Sandybridge"}
@@ -29,6 +32,9 @@ VENDORS = {
     "MKL_Get_Version_String": "Intel MKL",
     "bli_info_get_version_str": "BLIS",
 }
+LEAST_MEMORY = (
+    1 << 30
+)  # bytes: libraries take 350 MiB, OpenBLAS' buffer 128 MiB, PETSc and small meshes the rest
 ROWS, INNER, COLUMNS = 131, 127, 113  # of the product checked: whole blocks of any kernel, and odd rests
 
 
@@ -50,6 +56,16 @@ class Blas:
 
 
 # ---- before it loads ----
+
+
+def check_memory() -> None:
+    """Raises InputError where OpenBLAS would not get its buffer, for which it asks again without end."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_MEMORY:
+        raise InputError(
+            f"the address space is limited to {limit / 2**20:.0f} MiB (ulimit -v); allowed: from "
+            f"{LEAST_MEMORY / 2**20:.0f} MiB"
+        )
 
 
 def prepare(environment: MutableMapping[str, str] = os.environ) -> None:

@@ -5,6 +5,7 @@ import os
 import sys
 import traceback
 
+from voile.blas import check_memory
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged, printable
 from voile.launch import without_launcher
@@ -30,6 +31,7 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv[:split])
     args.petsc = argv[split + 1 :]
     try:
+        check_memory()
         code = args.command(args) or 0
         sys.stdout.flush()
         return code

@@ -91,10 +91,10 @@ def read_history(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """Columns of a history (file, or folder with it). Raises InputError where there is none."""
     path = Path(path)
     path = path / "history.h5" if path.is_dir() else path
-    if not path.is_file():
-        raise InputError(f"{path}: no history of a run in time")
     import h5py
 
+    if not h5py.is_hdf5(path):
+        raise InputError(f"{path}: no history of a run in time")
     with intact(path), h5py.File(path, "r", locking=False) as file:
         group = member(path, file, "voile/history")
         if group is None:

@@ -87,6 +87,7 @@ class Nonlinear:
     def __init__(self, work: Workspace, prefix: str, iteration: Iteration):
         self.work = work
         self._problem: Problem | None = None
+        self.asked = 0.0  # the last run's tolerance (N)
         snes = self.snes = until_the_end(PETSc.SNES().create(comm=work.comm))
         snes.setOptionsPrefix(prefix)
         hand_on(prefix)
@@ -107,7 +108,9 @@ class Nonlinear:
         snes.setFromOptions()
         snes.solve(None, y)
         self.work.counts.iterations += snes.getIterationNumber()
-        return snes.getConvergedReason() > 0
+        self.asked = tolerance
+        # options may end an iteration earlier than the scene asks, but that is no equilibrium
+        return snes.getConvergedReason() > 0 and self.norm <= tolerance
 
     @property
     def problem(self) -> Problem:
@@ -127,13 +130,15 @@ class Nonlinear:
 
     def missed(self, y: PETSc.Vec) -> str:
         """By how much the last run, which ended at y, missed its tolerance; and round-off, where it is to blame."""
-        asked, why = self.snes.getTolerances()[1], REASONS.get(self.snes.getConvergedReason(), "?")
+        asked, why = self.asked, REASONS.get(self.snes.getConvergedReason(), "?")
         noise = max(round_off(self.problem, y))
         blame = ""
         if self.norm < BLAMED * noise:
             times = max(noise, self.norm) / asked
             blame = f"; round-off is {noise:.1e} N: a tolerance (statics.tolerance) {times:.0e} times as large is met"
-        return f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){blame}"
+        given = self.snes.getTolerances()[1]
+        early = f"; the option -snes_atol {given:g} is above it" if given > asked else ""
+        return f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){early}{blame}"
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
         assert self.work.monitor is not None
