@@ -12,10 +12,17 @@ FREE = SCENE[: SCENE.index("[[obstacle]]")] + SCENE[SCENE.index("[dynamics]") :]
 FREE = FREE.replace("velocity = [", "angular_velocity = [1.0, 2.0, 3.0]\nvelocity = [").replace(
     "0.2\n", "0.5\n"
 )
+# a load on one vertex alone, from before as well
+PULLED = FREE.replace("-9.81", "0.0").replace(
+    "[dynamics]",
+    '[[loads.force]]\nselect = { nodes = [3] }\nvalue = [0.0, 0.0, 0.1]\n[dynamics]\nscheme = "generalized-alpha"',
+)
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("text", "within"), [(FREE, 1e-10), (SCENE, 1e-6)], ids=["free", "contact"])
+@pytest.mark.parametrize(
+    ("text", "within"), [(FREE, 1e-10), (PULLED, 1e-10), (SCENE, 1e-6)], ids=["free", "pulled", "contact"]
+)
 def test_ranks_agree(scene, tmp_path, run_on, text, within):
     scene.write_text(text)
     ends = []

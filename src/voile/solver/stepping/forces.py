@@ -43,10 +43,10 @@ class StepForces:
         if self.share:
             self.lag = self.share * problem.elastic.forces(self.start)
             damped, dead = self._mean(_with_end(nodes, self.share)), dead - self.lag
-        if early and problem.loads.moments:
+        if early and problem.loads.moments:  # whose Hessian comes with that of the kernel at the end
             damped = self._mean(_with_end(nodes, self.share))
-        late = [Dead(dead, self._own())] if dead.any() else []
-        self.given = problem.with_means(damped, self.late, self.springs, *late)
+        constant = [Dead(dead, self._own())] if early or self.share else []
+        self.given = problem.with_means(damped, self.late, self.springs, *constant)
 
     def balance(self, prediction: Prediction) -> Problem:
         """The step's problem."""
