@@ -31,7 +31,8 @@ def cantilever(load: float, heavy: bool) -> Elastica:
     theta'' = -load (1 - s, or 1 without weight) cos(theta), theta(0) = 0, theta'(1) = 0, x' = cos(theta),
     z' = sin(theta), by collocation."""
     layer = min(1.0, 3.0 / np.sqrt(load))  # heavy strips bend near the clamp
-    s = np.unique(np.concatenate([np.linspace(0.0, layer, 201), np.linspace(0.0, 1.0, 201)]))
+    places = np.concatenate([np.linspace(0.0, layer, 201), np.linspace(0.0, 1.0, 201)])
+    s = np.unique(places.round(9))  # none nearer to each other than that
 
     def slope(s, y):
         arm = 1.0 - s if heavy else 1.0 + 0.0 * s
