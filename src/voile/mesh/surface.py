@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import io
-import signal
-import threading
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voile.errors import InputError
 from voile.mesh.checks import check_coordinates, check_triangles, flat_triangles, orient, sew
+from voile.mesh.guards import check_xdmf, ending, refuse_references
 from voile.mesh.obj import read_obj
 from voile.mesh.raw import RawMesh, fan
 from voile.mesh.stitches import Stitches
@@ -24,7 +21,6 @@ from voile.mesh.stitches import Stitches
 if TYPE_CHECKING:
     import meshio
 
-_PATIENCE, _SPEED = 5.0, 1e5  # s, bytes/s: the slowest reader, of 3 MB of text a second, many times over
 _GROUP_DATA = ("gmsh:physical", "groups", "group", "medit:ref", "cell_tags", "gmsh:geometrical")
 
 
@@ -241,8 +237,8 @@ def _read_meshio(path: Path) -> RawMesh:
     import meshio
 
     if path.suffix.lower() in (".xdmf", ".xmf"):
-        _check_xdmf(path)
-    _refuse_references(path)
+        check_xdmf(path)
+    refuse_references(path)
     said = io.StringIO()
     try:
         with (
@@ -250,7 +246,7 @@ def _read_meshio(path: Path) -> RawMesh:
             contextlib.redirect_stderr(said),
             warnings.catch_warnings(),
             np.errstate(all="ignore"),
-            _ends(_PATIENCE + path.stat().st_size / _SPEED),
+            ending(path),
         ):
             warnings.simplefilter("ignore")  # what is wrong is said below, once
             return _of_meshio(path, meshio.read(path))
@@ -262,69 +258,6 @@ def _read_meshio(path: Path) -> RawMesh:
     ) as error:  # its readers raise anything at a broken file, or leave the program
         reason = said.getvalue().strip() if isinstance(error, SystemExit) else str(error)
         raise InputError(f"{path}: cannot be read as a mesh: {' '.join(reason.split())}") from error
-
-
-@contextlib.contextmanager
-def _ends(seconds: float) -> Iterator[None]:
-    """Raises TimeoutError in what takes longer (s of the processor): some of meshio's readers miss a file's end."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread gets signals
-        return
-
-    def stop(*_: object) -> None:
-        raise TimeoutError(f"no end of it found within {seconds:.0f} s")
-
-    before = signal.signal(signal.SIGVTALRM, stop)
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-        signal.signal(signal.SIGVTALRM, before)
-
-
-def _check_xdmf(path: Path) -> None:
-    """InputError where an XDMF file takes data from elsewhere than the HDF5 file of its own name beside it."""
-    beside = path.with_suffix(".h5")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read as a mesh: {' '.join(str(error).split())}") from error
-    for item in root.iter():
-        kind, name = item.get("Format", "XML").upper(), (item.text or "").strip().split(":")[0]
-        foreign = kind not in ("XML", "HDF") or (kind == "HDF" and name != beside.name)
-        if foreign or item.tag.endswith("include"):
-            raise InputError(f"{path}: takes data from {name!r} ({kind}); allowed: from {beside.name} only")
-    if beside.exists():
-        _refuse_references(beside)
-
-
-def _refuse_references(path: Path) -> None:
-    """InputError where an HDF5 file takes data from other files: any file of this machine might be one."""
-    with open(path, "rb") as file:
-        if file.read(8) != b"\x89HDF\r\n\x1a\n":
-            return
-    import h5py
-
-    def check(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and (
-            item.is_virtual or item.id.get_create_plist().get_external_count()
-        ):
-            raise InputError(f"{path}: {name} is stored in another file; allowed: data of the file itself")
-        for key in item if isinstance(item, h5py.Group) else ():
-            if isinstance(item.get(key, getlink=True), h5py.ExternalLink):
-                raise InputError(
-                    f"{path}: {name}/{key} is a link to another file; allowed: data of the file itself"
-                )
-
-    try:
-        with h5py.File(path, "r", locking=False) as hdf:
-            check("", hdf)
-            hdf.visititems(check)
-    except InputError:
-        raise
-    except Exception as error:  # h5py raises anything at a broken file
-        raise InputError(f"{path}: cannot be read as a mesh: {' '.join(str(error).split())}") from error
 
 
 def _of_meshio(path: Path, mesh: meshio.Mesh) -> RawMesh:

@@ -194,14 +194,15 @@ class Result:
             ("Point", self.n_points, POINT_FIELDS, self.point_fields),
             ("Cell", self.n_cells, CELL_FIELDS, self.cell_fields),
         ):
-            if name in names:
+            spec = find_field(table, name)
+            if spec and name in names:
                 offsets = self._data(f"VTKHDF/Steps/{kind}DataOffsets/{name}", "indices", 0)
                 check_length(self.path, f"offsets of {name}", min(len(offsets), self.n_steps), self.n_steps)
                 begin = int(offsets[self._step(step)])
-                known = find_field(table, name)
-                assert known is not None  # names are those that are known
-                finite = np.dtype(known.dtype).kind == "f" and known.components > 0
-                values = self._rows(f"VTKHDF/{kind}Data/{name}", begin, n, known.components, finite)
+                finite = (
+                    kind == "Point" and spec.components > 0
+                )  # others may have none where nothing is measured
+                values = self._rows(f"VTKHDF/{kind}Data/{name}", begin, n, spec.components, finite)
                 if name == "group":
                     check_indices(self.path, name, values, max(1, len(self.group_names)))
                 return values
