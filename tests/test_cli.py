@@ -227,7 +227,7 @@ def test_bad_input_leaves_an_old_result(scene, tmp_path):
     out = tmp_path / "out"
     assert voile("run", scene(), "-o", out).returncode == 0
     before = {file.name: file.read_bytes() for file in out.iterdir()}
-    assert set(before) == {"result.vtkhdf", "summary.json"}
+    assert set(before) == {"result.vtkhdf", "summary.json", ".voile-run"}
     refused(voile("run", scene(SCENE.replace("young = 1e5", "young = 0")), "-o", out), "shell.young")
     assert {file.name: file.read_bytes() for file in out.iterdir()} == before
 
@@ -241,7 +241,7 @@ def test_damaged_results(scene, tmp_path):
         file.write_bytes(damaged)
         for command in (["info", out], ["render", out], ["export", out, out / "a.obj"]):
             refused(voile(*command), str(file))
-    assert {path.name for path in out.iterdir()} == {"result.vtkhdf", "summary.json"}
+    assert {path.name for path in out.iterdir()} == {"result.vtkhdf", "summary.json", ".voile-run"}
     refused(voile("info", tmp_path / "none"), "none: no such result file")
 
 

@@ -243,7 +243,10 @@ def test_pleated_dress_panels(shared):
     assert surface.group_names == tuple(f"panel{i}" for i in range(14))
     assert len(surface.stitches) == 851 and len(loops_of(surface)) == 14
     # two records tie three neighbours in one corner, and an edge of 7 mm closes with its two triangles
-    assert surface.notes == ("2 of 29456 triangles dropped, their seams join them away: 13771, 13774",)
+    assert surface.notes == (
+        "6 stitches join vertices in a circle: some say what others say",
+        "2 of 29456 triangles dropped, their seams join them away: 13771, 13774",
+    )
     matrix, free = sewing_matrix(surface.stitches, len(surface.points))
     assert matrix.shape == (15656, 15656 - 799) and len(free) == 14857  # 799: rank of the 851 records
     x, s = matrix @ surface.points[free], surface.stitches

@@ -90,5 +90,5 @@ def test_elastic_supports_and_ties_keep_the_energy_too():
     run = move(shell, "moreau-jean", 1e-2, 0.3, 0.0, asked=SchemeOptions(theta=0.5))
     totals, largest = run.path.books.totals, run.path.books.most
     assert run.path.converged and run.steps[-1].energies["springs"] > 1e-3 * largest
-    assert abs(totals["scheme_dissipated"]) < 1e-3 * largest
+    assert abs(totals["scheme_dissipated"]) < 2e-3 * largest
     assert abs(run.path.books.error) < 1e-8 * largest

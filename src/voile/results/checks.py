@@ -18,6 +18,7 @@ from voile.errors import InputError
 LARGEST = (
     1e30  # m, N, ...: numbers beyond have squares that single precision, which viewers use, does not hold
 )
+DEFLATES = 1032  # times at most, of data that deflate packs (zlib)
 KINDS = {"numbers": "iufb", "indices": "iu", "reals": "f"}
 
 
@@ -103,9 +104,8 @@ def _check_storage(path: Path, name: str, data: Any) -> None:
     if data.chunks is None:
         within = size <= max(data.file.id.get_filesize(), 0)
     else:
-        within = data.id.get_create_plist().get_nfilters() == 0 and size <= max(
-            data.id.get_storage_size(), data.dtype.itemsize
-        )
+        packed = DEFLATES if layout.get_nfilters() else 1
+        within = size <= max(packed * data.id.get_storage_size(), data.dtype.itemsize)
     if not within:
         raise InputError(f"{path}: damaged result file: {name} is larger than the file")
 
