@@ -239,7 +239,11 @@ def test_bad_scenes(scene, capsys, old, new, message):
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("text", "branch"),
-    [(ROOF, 0), (ROOF.replace("[statics]", PLANE + "[statics]"), 0), (COLUMN, 1)],
+    [
+        (ROOF, 0),
+        pytest.param(ROOF.replace("[statics]", PLANE + "[statics]"), 0, marks=pytest.mark.slow),
+        (COLUMN, 1),
+    ],
     ids=["roof", "contact", "column"],
 )
 def test_ranks_agree(scene, tmp_path, run_on, text, branch):
