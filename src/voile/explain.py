@@ -1,4 +1,4 @@
-"""What a run will model and why: terms, unknowns, solver, memory. Solves nothing. Used by cli only."""
+"""What a run will model and why: terms, unknowns, solver, memory. Solves nothing. For commands only."""
 
 import numpy as np
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run
 from scipy.optimize import brentq
 
 from voile.cli import main
@@ -39,12 +40,6 @@ def write(folder: Path, text: str, nx: int = 20, ny: int = 2) -> str:
     (folder / "mesh.obj").write_text("\n".join(lines) + "\n")
     (folder / "scene.toml").write_text(text)
     return str(folder / "scene.toml")
-
-
-def run(folder: Path, scene: str, *sets: str):
-    options = [word for each in sets for word in ("--set", each)]
-    assert main(["run", scene, "-o", str(folder / "out"), *options]) == 0
-    return read_result(folder / "out")
 
 
 def summary(folder: Path) -> dict:

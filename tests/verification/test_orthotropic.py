@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run
 from kernel_shell import irregular_mesh
 
 from voile.cli import main
@@ -52,12 +53,6 @@ def write(folder: Path, lines: str, nx: int = 20, ny: int = 2, texture: str = ""
     (folder / "mesh.obj").write_text("\n".join(text) + "\n")
     (folder / "scene.toml").write_text(lines)
     return str(folder / "scene.toml")
-
-
-def run(folder: Path, scene: str, *sets: str):
-    options = [word for each in sets for word in ("--set", each)]
-    assert main(["run", scene, "-o", str(folder / "out"), *options]) == 0
-    return read_result(folder / "out")
 
 
 def random_state():

@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> None:
         scene, model = on_root(comm, lambda: load(args)) or (None, None)
         scene = comm.bcast(scene)
         folder = args.output or Path(f"{args.scene.stem}-result")
-        if args.resume and scene.scene.task != "dynamics":
-            raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
         if args.resume:
+            if scene.scene.task != "dynamics":
+                raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
             newest_step(folder, comm)
         progress = Progress(comm)
         with held_output(folder, comm, args.scene, scene.text, args.force):

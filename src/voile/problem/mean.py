@@ -113,14 +113,17 @@ class MeanTerm(Term):
 
 def _places(start: Point, at: Point, nodes: Nodes) -> Iterator[tuple[Point, float, float]]:
     """(point, s, weight) of each node on the way from `start` to `at`, which is that of s = 1 itself."""
-    origin = at.displacement - at.u
     for s, weight in nodes:
-        displacement = start.displacement + s * (at.displacement - start.displacement)
-        there = replace(
-            at,
-            u=displacement - origin,
-            phi=start.phi + s * (at.phi - start.phi),
-            displacement=displacement,
-            positions=start.positions + s * (at.positions - start.positions),
-        )
-        yield at if s == 1.0 else there, s, weight
+        yield at if s == 1.0 else _between(start, at, s), s, weight
+
+
+def _between(start: Point, at: Point, s: float) -> Point:
+    """The point after a share of the way."""
+    displacement = start.displacement + s * (at.displacement - start.displacement)
+    return replace(
+        at,
+        u=displacement - (at.displacement - at.u),
+        phi=start.phi + s * (at.phi - start.phi),
+        displacement=displacement,
+        positions=start.positions + s * (at.positions - start.positions),
+    )

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from voile.errors import InputError
 from voile.results import read_summary
+from voile.results.folder import replace
 from voile.study.measures import Measure, values
 from voile.study.plan import Plan, Run
 from voile.study.settings import overrides
@@ -136,9 +137,7 @@ class Runs:
             times.append((again.seconds or 0.0, again.cpu_seconds or 0.0))
         found.seconds, found.cpu_seconds = (statistics.median(each) for each in zip(*times, strict=True))
         found.repeats = len(times)
-        part = self._file(run).with_suffix(".part")
-        part.write_text(json.dumps(asdict(found), indent=2) + "\n")
-        os.replace(part, self._file(run))
+        replace(self._file(run), (json.dumps(asdict(found), indent=2) + "\n").encode())
         return found
 
     def _once(self, run: Run, lock: int) -> Record:

@@ -3,10 +3,10 @@
 import csv
 import io
 import json
-import os
 from pathlib import Path
 from typing import Any
 
+from voile.results.folder import replace
 from voile.study.analysis import Choice, Findings, Row
 from voile.study.execute import CONVERGED, Runs
 from voile.study.schema import EXTRAPOLATE, Known
@@ -22,16 +22,11 @@ def write_files(findings: Findings, runs: Runs) -> list[Path]:
     from voile.study.picture import draw
 
     files = [runs.out / name for name in ("study.csv", "study.json", "study.png")]
-    _write(files[0], _csv(findings, runs))
-    _write(files[1], json.dumps(_plain(findings, runs), indent=2, allow_nan=False) + "\n")
+    replace(files[0], _csv(findings, runs).encode())
+    figures = json.dumps(_plain(findings, runs), indent=2, allow_nan=False) + "\n"
+    replace(files[1], figures.encode())
     draw(findings, files[2])
     return files
-
-
-def _write(path: Path, text: str) -> None:
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def header(findings: Findings) -> list[str]:

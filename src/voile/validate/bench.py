@@ -3,7 +3,6 @@
 Scenes, meshes and results stay in the bench's folder, where `voile run` and `voile render` take them.
 """
 
-import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from voile.errors import NotConverged
 from voile.mesh import write_obj
 from voile.results import Result, read_result, read_summary
 from voile.results.history import read_history
+from voile.scene.plain import plain, toml
 
 
 class Mesh(NamedTuple):
@@ -89,7 +89,7 @@ class Bench:
                 write_obj(self.folder / file, value.points, value.triangles, groups=value.groups)
                 scene["shell"][key] = file
         path, folder = self.folder / f"{name}.toml", self.folder / f"{name}-result"
-        path.write_text(toml(scene), encoding="utf-8")
+        path.write_text(toml(plain(scene)), encoding="utf-8")
         solve(path, folder)
         return Outcome(folder)
 
@@ -98,27 +98,3 @@ def solve(path: Path, folder: Path) -> None:
     """Runs a scene file as a user does; how it ended stands in its summary."""
     with suppress(NotConverged):
         voile.run(path, folder)
-
-
-# ---- scenes as text ----
-
-
-def toml(scene: dict[str, Any]) -> str:
-    """A scene's tables as a TOML file."""
-    parts = []
-    for name, table in scene.items():
-        for each in table if isinstance(table, list) else [table]:
-            heading = f"[[{name}]]" if isinstance(table, list) else f"[{name}]"
-            parts += [heading, *(f"{key} = {_value(value)}" for key, value in each.items()), ""]
-    return "\n".join(parts)
-
-
-def _value(value: Any) -> str:
-    """TOML text of a value; tables within a table on one line."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_value(inner)}" for key, inner in value.items()) + " }"
-    if isinstance(value, np.ndarray | np.generic):
-        return _value(value.tolist())
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    return json.dumps(value)

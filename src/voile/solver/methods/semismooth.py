@@ -7,6 +7,7 @@ and the factorisation counts negative eigenvalues on the contacts' tangent space
 SNES prefix semismooth_.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,7 +128,7 @@ class Iterate:
             solver = self.work.symmetric if symmetric else self.work.unsymmetric
             self.method.negative = solver.negative if solver.factor(matrix) else None
             if solver.usable:
-                self._direction(solver, matrix, linear, y, f, direction)
+                self._direction(solver, linear, y, direction)
             if not (solver.usable and np.isfinite(direction.norm())):
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)
@@ -148,18 +149,38 @@ class Iterate:
         snes.setFunctionNorm(norm)
         return reason
 
-    def _direction(self, solver: LinearSolver, matrix, linear: Linearised, y, f, direction) -> None:
-        """The Newton step: corrects reactions and step until the penalties carry nothing."""
+    def _direction(
+        self, solver: LinearSolver, linear: Linearised, y: PETSc.Vec, direction: PETSc.Vec
+    ) -> None:
+        """The Newton step."""
         problem = self.method.nonlinear.problem
-        direction.set(0.0)
-        image, part = direction.duplicate(), direction.duplicate()
-        for _ in range(self.options.corrections):
+
+        def residual(f: PETSc.Vec) -> None:
             problem.residual(y, f, linear.force())
-            matrix.mult(direction, image)
-            f.axpy(1.0, image)
-            solver.solve(f, part)
-            direction.axpy(-1.0, part)
-            linear.advance(problem.motion(direction))
+
+        closed_step(problem, linear, solver, self.work.matrix, residual, direction, self.options.corrections)
+
+
+def closed_step(
+    problem: Problem,
+    linear: Linearised,
+    solver: LinearSolver,
+    matrix: PETSc.Mat,
+    residual: Callable[[PETSc.Vec], None],
+    step: PETSc.Vec,
+    corrections: int,
+) -> None:
+    """The Newton step on which active contacts keep their laws: corrects reactions and step until the penalties carry
+    nothing. residual(f): that with the present reactions of `linear`; matrix: factored by the solver."""
+    f, image, part = (step.duplicate() for _ in range(3))
+    step.set(0.0)
+    for _ in range(corrections):
+        residual(f)
+        matrix.mult(step, image)
+        f.axpy(1.0, image)
+        solver.solve(f, part)
+        step.axpy(-1.0, part)
+        linear.advance(problem.motion(step))
 
 
 def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) -> tuple[float, float]:

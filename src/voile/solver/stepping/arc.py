@@ -18,7 +18,7 @@ from voile.contact.contact import Linearised
 from voile.problem.problem import Problem
 from voile.problem.state import State, difference
 from voile.solver.methods.method import Workspace
-from voile.solver.methods.semismooth import law_norms
+from voile.solver.methods.semismooth import closed_step, law_norms
 from voile.solver.methods.steps import Stall, factor, limit, to_round_off
 
 ITERATIONS = 15  # of a step at most
@@ -84,18 +84,14 @@ class Linear:
         return self.laws[0].states() if self.laws else []
 
     def _laws_kept(self, laws: Linearised, residual: PETSc.Vec, step: PETSc.Vec) -> None:
-        """The step on which active contacts stay closed: the penalties' share goes into the reactions."""
-        problem = self.problem
-        image, part, f = (step.duplicate() for _ in range(3))
-        step.set(0.0)
-        for _ in range(CORRECTIONS):
+        """The step on which active contacts stay closed, for a residual (N) without reactions."""
+        problem, at = self.problem, self.problem.point(self.y)
+
+        def present(f: PETSc.Vec) -> None:
             residual.copy(f)
-            f.array[:] -= problem.layout.collect(problem.point(self.y).over_dofs(laws.force()))
-            self.work.matrix.mult(step, image)
-            f.axpy(1.0, image)
-            self.solver.solve(f, part)
-            step.axpy(-1.0, part)
-            laws.advance(problem.motion(step))
+            f.array[:] -= problem.layout.collect(at.over_dofs(laws.force()))
+
+        closed_step(problem, laws, self.solver, self.work.matrix, present, step, CORRECTIONS)
 
 
 class Arc:

@@ -49,8 +49,8 @@ class Critical:
 def solve_arc(
     problem: Problem, options: StaticsOptions, most: float, branch: int, on_step: Progress | None = None
 ) -> tuple[Path, list[Critical]]:
-    """Follows the path of a problem without contact and moving supports from the unloaded shell until the load factor
-    is `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. Does not raise for lack
+    """Follows the path of a problem on which nothing moves or rubs from the unloaded shell until the load factor is
+    `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. Does not raise for lack
     of convergence; see Path."""
     run = ArcPath(problem, options, most, branch)
     run.follow(on_step)

@@ -29,7 +29,7 @@ TOTALS = (
 )
 
 
-LOST = ("friction_dissipated", "impact_dissipated", "damping_dissipated")
+LOST = ("friction_dissipated", "damping_dissipated")  # beside scheme and impacts, see created
 
 
 def created(entries: dict[str, float]) -> float:
