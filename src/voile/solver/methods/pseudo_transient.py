@@ -32,7 +32,7 @@ GONE = 1.0  # sizes of the shell after which one that is not held along every ax
 class Options:
     """Rates are inverse squares of step lengths (1/s^2) over the slow rate g/size.
 
-    steps at most. first_rate: a step of 0.37 sqrt(size/g), the longest that descents finish in some 40
+    steps at most. first_rate: a step of 0.36 sqrt(size/g), the longest that descents finish in some 40
     iterations on sheets over a ball; ten drapes take as many in all with 0.3, a tenth more with 0.42. Energies at the
     end fall a little with its length. fresh_rate: while no contact bears yet there is
     no friction either; such a step must move less than `fresh` sizes, which it does at this rate, twice what
@@ -47,7 +47,7 @@ class Options:
     """
 
     steps: int = 300
-    first_rate: float = 7.5
+    first_rate: float = 7.7
     fresh_rate: float = 180.0
     fresh: float = 0.01
     last_rate: float = 1e7
