@@ -193,7 +193,8 @@ def test_ctrl_c_at_the_start_leaves_no_traceback(voile, seconds):
         time.sleep(seconds)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=100)[1]
-    assert "Traceback" not in said and process.returncode in (0, 3, 130)
+    # -SIGINT: told while the interpreter left, after the run was complete; shells call it 130 too
+    assert "Traceback" not in said and process.returncode in (0, 3, 130, -signal.SIGINT)
 
 
 def test_too_little_memory_is_told(voile):
