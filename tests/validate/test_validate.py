@@ -20,6 +20,7 @@ def run(bench):
 """
 # Whose quick form takes more than two CPU seconds on a quiet machine: they run with the slow tests.
 LONG = {
+    "bend-twist",
     "bouncing-bar",
     "cantilever",
     "cusick-drape",

@@ -24,6 +24,7 @@ SHORT = [
     ("capstan", "obstacle", "friction"),
 ]
 LONG = [
+    ("bend-twist", "shell", "young"),
     ("cantilever", "shell", "young"),
     ("cantilever", "shell", "density"),
     ("lateral-buckling", "shell", "young"),

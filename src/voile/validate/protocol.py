@@ -54,9 +54,12 @@ def small(quantity: str, value: float, bound: float) -> Check:
     return Check(quantity, float(value), 0.0, bound, absolute=True)
 
 
-def order(quantity: str, errors: Sequence[float] | np.ndarray, low: float, high: float) -> Check:
-    """The order of convergence seen on the last two of meshes that halve their cells."""
-    return within(f"order of {quantity}", math.log2(abs(errors[-2] / errors[-1])), low, high)
+def order(
+    quantity: str, errors: Sequence[float] | np.ndarray, low: float, high: float, halvings: int = 1
+) -> Check:
+    """The order of convergence over the last halvings of the cells."""
+    ratio = abs(errors[-1 - halvings] / errors[-1])
+    return within(f"order of {quantity}", math.log2(ratio) / halvings, low, high)
 
 
 @dataclass(frozen=True)

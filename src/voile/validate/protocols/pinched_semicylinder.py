@@ -15,7 +15,7 @@ MEASURES = (Measure("pinched point", "A", 2, -1.0),)
 
 
 def run(bench: Bench) -> Findings:
-    # Published to 0.01: 3 % of 0.16, 0.4 % of the others.
+    # Published to 0.01: 3 % of 0.16, 0.4 % of the others. At 0.3 the path is flat: 3 % of it is 0.5 % of the load.
     case = pinched_semicylinder(16, 24) if bench.quick else pinched_semicylinder(32, 48)
-    at = {0.5: 0.02, 1.0: 0.01} if bench.quick else {0.1: 0.04, 0.3: 0.02, 0.5: 0.01, 0.7: 0.01, 1.0: 0.01}
+    at = {0.5: 0.02, 1.0: 0.01} if bench.quick else {0.1: 0.04, 0.3: 0.03, 0.5: 0.01, 0.7: 0.01, 1.0: 0.01}
     return beside_path(bench, case, MEASURES, LOADS, PUBLISHED, at)
