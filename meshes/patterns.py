@@ -39,6 +39,15 @@ def polygon(corners: Sequence[Sequence[float]], size: float) -> np.ndarray:
     )
 
 
+def meshed(mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) and triangles (m, 3) of a mesh of gmsh's."""
+    tags, coordinates, _ = mesh.getNodes()
+    _, corners = mesh.getElementsByType(2)
+    place = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    place[tags.astype(np.int64)] = np.arange(len(tags))
+    return coordinates.reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 3)
+
+
 def unstructured(loops: Sequence[np.ndarray], size: float | str) -> tuple[np.ndarray, np.ndarray]:
     """Irregular Delaunay mesh of a plane region: points (n, 2), counter-clockwise triangles (m, 3).
 
@@ -67,13 +76,10 @@ def unstructured(loops: Sequence[np.ndarray], size: float | str) -> tuple[np.nda
         field.setString(formula, "F", str(size))
         field.setAsBackgroundMesh(formula)
         gmsh.model.mesh.generate(2)
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        _, corners = gmsh.model.mesh.getElementsByType(2)
+        points, triangles = meshed(gmsh.model.mesh)
     finally:
         gmsh.finalize()
-    place = np.zeros(int(tags.max()) + 1, dtype=np.int64)
-    place[tags.astype(np.int64)] = np.arange(len(tags))
-    points, triangles = coordinates.reshape(-1, 3)[:, :2], place[corners.astype(np.int64)].reshape(-1, 3)
+    points = points[:, :2]
     a, b, c = (points[triangles[:, k]] for k in range(3))
     clockwise = np.linalg.det(np.stack([b - a, c - a], axis=1)) < 0
     triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]

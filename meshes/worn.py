@@ -5,7 +5,7 @@ from collections.abc import Callable
 import gmsh
 import igl
 import numpy as np
-from patterns import command, positive
+from patterns import command, meshed, positive
 
 from voile.contact import obstacles
 
@@ -99,13 +99,9 @@ def _mesh(build: Callable, openings: list[Opening], size: float) -> tuple[np.nda
         build(gmsh.model.occ)
         gmsh.model.occ.synchronize()
         gmsh.model.mesh.generate(2)
-        tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        _, corners = gmsh.model.mesh.getElementsByType(2)
+        points, triangles = meshed(gmsh.model.mesh)
     finally:
         gmsh.finalize()
-    place = np.zeros(int(tags.max()) + 1, dtype=np.int64)
-    place[tags.astype(np.int64)] = np.arange(len(tags))
-    points, triangles = coordinates.reshape(-1, 3), place[corners.astype(np.int64)].reshape(-1, 3)
     for centre, normal, reach in openings:
         away = (points - centre) / reach
         inside = (np.abs((points - centre) @ normal) < 1e-6) & (np.linalg.norm(away, axis=1) < 1.01)
