@@ -68,6 +68,13 @@ def run_on(mpirun: MpiRun) -> Callable[..., None]:
     return run
 
 
+@pytest.fixture(params=[(1, 2), pytest.param((1, 2, 4), marks=pytest.mark.slow)], ids=["2 ranks", "4 ranks"])
+def rank_counts(request: pytest.FixtureRequest) -> tuple[int, ...]:
+    """Numbers of ranks that must find the same. Four by name only: on two processors that the suite shares, each
+    message of theirs waits for a turn, which made a run of one second take a hundred."""
+    return request.param
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of garments and reference values beside the checkout; skips the test without it."""

@@ -246,9 +246,9 @@ def test_bad_scenes(scene, capsys, old, new, message):
     ],
     ids=["roof", "contact", "column"],
 )
-def test_ranks_agree(scene, tmp_path, run_on, text, branch):
+def test_ranks_agree(scene, tmp_path, run_on, rank_counts, text, branch):
     path, found, ends = scene(text.replace("[statics]", f"[statics]\nbranch = {branch}")), [], []
-    for ranks in (1, 2, 4):
+    for ranks in rank_counts:
         out = tmp_path / str(ranks)
         run_on(ranks, path, out, 300)
         summary = read_summary(out / "summary.json")

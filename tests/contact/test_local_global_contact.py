@@ -124,10 +124,10 @@ def test_steps_on_a_turning_sphere_are_newtons(friction):
 @pytest.mark.parametrize(
     ("name", "steps", "exact"), [("free", 100, 1e-10), ("sphere", 60, 1e-6), ("layers", 14, 1e-6)]
 )
-def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, name, steps, exact):
+def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, rank_counts, name, steps, exact):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
     found = []
-    for ranks in (1, 2, 4):
+    for ranks in rank_counts:
         program = Path(__file__).with_name("local_global_ranks.py")
         done = mpirun(ranks, [sys.executable, program, name, steps, tmp_path / f"{ranks}.npz"], 300)
         assert done.returncode == 0, done.stderr
