@@ -17,7 +17,11 @@ def on_files(files, config):
     """Adds the pages that are made from the program."""
     from mkdocs.structure.files import File
 
-    for name, text in (("reference.md", scene_keys()), ("commands.md", commands())):
+    for name, text in (
+        ("reference.md", scene_keys()),
+        ("commands.md", commands()),
+        ("notebook.md", notebook()),
+    ):
         files.append(File.generated(config, name, content=text))
     return files
 
@@ -48,6 +52,21 @@ def on_post_page(output, page, config):
 def _name(found):
     text, path = found[1], found[2]
     return f"`{path}`" if path.endswith(text) else f"{text} (`{path}`)"
+
+
+def notebook() -> str:
+    """docs/notebook.ipynb with what its cells printed and drew."""
+    parts = []
+    for cell in json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for out in cell.get("outputs", []):
+            data = out.get("data", {})
+            if "image/png" in data:
+                parts.append(f"![Output](data:image/png;base64,{data['image/png']})")
+            elif text := "".join(out.get("text") or data.get("text/plain", [])):
+                parts.append(f"```text\n{text.rstrip()}\n```")
+    return "\n\n".join(parts) + "\n"
 
 
 def scene_keys() -> str:

@@ -16,7 +16,7 @@ from voile.scene import json_schema
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
-MADE = {"reference.md", "commands.md"}  # by scripts/docs_hooks.py
+MADE = {"reference.md", "commands.md", "notebook.md"}  # by scripts/docs_hooks.py
 
 
 def hooks():
