@@ -25,6 +25,7 @@ LONG = {
     "cantilever",
     "cusick-drape",
     "friction-pad",
+    "lateral-buckling",
     "rotating-sphere",
     "slit-annulus",
     "sliding-sheet",
