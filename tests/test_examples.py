@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
-import cantilever  # noqa: E402
-import drape  # noqa: E402
-import snap  # noqa: E402
+import cantilever
+import drape
+import snap
 
 
 def test_cantilevers_fall_on_one_curve():
