@@ -3,8 +3,8 @@
 Ly, Casati, Bertails-Descoubes, Skouras and Boissieux (2018), "Inverse elastic shell design with contact and friction",
 ACM TOG 37(6): given the shape that a garment is to have on a body, which rest shape makes that shape an equilibrium?
 The naive answer, to sew the drawn shape itself, sags. Here a skirt of eight gores stands on a dress form, held by
-friction alone. The naive rest shape is simulated; then the inverse problem is solved, which simulates its own answer twice: from
-the drawn shape, and from beside it.
+friction alone. The naive rest shape is simulated. Then the inverse problem is solved, which simulates its own answer
+twice: from the drawn shape, and from beside it.
 
     .venv/bin/python examples/drape.py     writes naive.png, drape.png and drape/pattern.svg; 10 seconds
 """

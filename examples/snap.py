@@ -1,9 +1,10 @@
 """A roof snaps through: a path with limit points, followed by its arc length.
 
 The hinged cylindrical roof of Horrigmoe and Bergan (1978), with the curves of Sze, Liu and Lo (2004), "Popular
-benchmark problems for geometric nonlinear analysis of shells", Finite Elements in Analysis and Design 40. Radius 2.54
-m, half angle 0.1 rad, 508 mm long, straight edges hinged, a point load on the middle. Thick, 12.7 mm, it snaps at 2.2 kN;
-thin, 6.35 mm, at 0.59 kN, and its path turns back: under load control or displacement control it would jump.
+benchmark problems for geometric nonlinear analysis of shells", Finite Elements in Analysis and Design 40.
+Radius 2.54 m, half angle 0.1 rad, 508 mm long, straight edges hinged, a point load on the middle. Thick, 12.7 mm, it
+snaps at 2.2 kN. Thin, 6.35 mm, it snaps at 0.59 kN and its path turns back: under load control or displacement control
+it would jump.
 
     .venv/bin/python examples/snap.py [CELLS]     writes snap.png; 8 seconds
 """
