@@ -18,6 +18,7 @@ EXTRAS = {
     "av": "pictures",
     "PIL": "pictures",
     "gmsh": "meshes",
+    "spyrrow": "cutting",
 }
 DESCRIPTION = "Equilibria of thin elastic shells: garments, sheets, strips."
 

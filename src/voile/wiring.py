@@ -34,6 +34,7 @@ from voile.problem.supports import check_supports, free_motions
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
 from voile.scene.motion import motion_of
+from voile.scene.pattern import check_names
 from voile.scene.schema import Fabric
 
 DEEPEST = 0.05  # of the shell's size: how deep a start may be inside an obstacle
@@ -114,11 +115,7 @@ def build_model(scene: Scene) -> Model:
             f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"
         )
     _check_unknowns(shell, f"{scene.path}: fix")
-    if scene.inverse.seam_allowance > size:
-        raise InputError(
-            f"{scene.path}: inverse.seam_allowance: {scene.inverse.seam_allowance:g} m; allowed: at most the shell's "
-            f"size, {size:.4g} m"
-        )
+    check_names(scene, surface.group_names, size)
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         notes += _gaping(shell, size, spec.mesh)
     if bodies:

@@ -62,10 +62,16 @@ def overlaps(outline: np.ndarray) -> bool:
 
 def flatten_disc(points: np.ndarray, triangles: np.ndarray, name: str = "panel") -> np.ndarray:
     """Plane coordinates (n, 2) of a disc of triangles (m, 3), points (n, 3) in metres; raises NotConverged."""
-    gradient, area = _gradients(points, triangles)
-    x = _start(points, triangles, gradient)
-    energy = _Energy(triangles, gradient, area, len(points))
-    size = float(np.ptp(points, axis=0).max())
+    gradient, _ = _gradients(points, triangles)
+    return relax(_start(points, triangles, gradient), triangles, points[triangles], name)
+
+
+def relax(x: np.ndarray, triangles: np.ndarray, shapes: np.ndarray, name: str) -> np.ndarray:
+    """Plane coordinates (n, 2) of least distortion of triangles (m, 3) from shapes of their own, corners (m, 3, 3) in
+    metres, from coordinates x without flips; raises NotConverged."""
+    gradient, area = _gradients(shapes.reshape(-1, 3), np.arange(3 * len(shapes)).reshape(-1, 3))
+    energy = _Energy(triangles, gradient, area, len(x))
+    size = float(np.ptp(shapes, axis=(0, 1)).max())
     value, slope, before = energy.value(x), np.inf, np.inf
     for _ in range(ITERATIONS):
         direction, force = energy.step(x, exact=slope < NEAR * area.sum())

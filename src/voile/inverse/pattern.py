@@ -8,18 +8,20 @@ import shapely
 from numpy.typing import ArrayLike
 
 from voile.errors import InputError
-from voile.inverse.flatten import FlatPanels, overlaps
+from voile.inverse.cut_line import cut_line
+from voile.inverse.ease import add_ease, wanted_ease
+from voile.inverse.flatten import FlatPanels
+from voile.inverse.grain import grains
 from voile.inverse.panels import Panels, Seam
+from voile.inverse.rules import NO_RULES, Rules, allowances, check_rules
+from voile.inverse.symmetric import mirror_map, partners, symmetrised
 from voile.mesh import METRES, Notches, Pattern, Piece, SewnSeam, Stitches, write_obj
 
 UP = (0.0, 1.0, 0.0)
-LEVEL = 0.3  # mean slope of the grain direction on a panel below which the panel's long axis is its grain
 CORNER = np.radians(30.0)  # turn of the sew line at a turn point
 REACH = 0.01  # of the perimeter: the directions before and after a point are those of chords so long
 NOTCHES = (1 / 3, 2 / 3)  # of a seam
 NOTCHED = 0.05  # m: a shorter seam needs no notches between its ends
-TOUCHING = 1e-8  # m
-MITRE = 2.0  # longest corner of the cut line, in allowances
 GAP = 0.04  # m between pieces
 
 
@@ -28,21 +30,33 @@ def make_pattern(
     allowance: float = 0.0,
     grain: ArrayLike | None = UP,
     tolerance: float = 2e-3,
+    rules: Rules = NO_RULES,
 ) -> Pattern:
     """The pattern, panels in their order, in rows from left to right, each with its grain line upwards.
 
     allowance: of the cut line, m; grain: direction in space that the grain line follows, the panel's long axis
-    where it runs across the panel or for None; tolerance: mismatch of a seam's lengths that sewing takes up, m.
-    Raises InputError for a negative allowance, a grain that is no direction, or a panel that overlaps itself.
+    where it runs across the panel or for None; tolerance: mismatch of a seam's lengths that sewing takes up, m;
+    rules: what is asked of single panels and seams, and of symmetry.
+    Raises InputError for a negative allowance, a grain that is no direction, a panel that overlaps itself, rules that
+    mean nothing here and panels that do not mirror each other; NotConverged for ease that a panel cannot take.
     """
     if not (np.isfinite(allowance) and allowance >= 0):
         raise InputError(f"pattern: seam allowance = {allowance}, allowed: 0 or more, in metres")
+    check_rules(flat.panels, rules.panels, rules.seams)
+    flat = add_ease(flat, rules.seams)
     panels, x = flat.panels, flat.coordinates.copy()
-    cuts: list[tuple[np.ndarray, ...]] = []
-    for k, name in enumerate(panels.names):
+    for k, along in enumerate(grains(flat, grain, rules.panels)):
         own = panels.vertex_panel == k
-        x[own] = _turned(x[own], _grain(flat, k, grain))
-        cuts.append(_cut_line(x[panels.outlines[k]], allowance, name))
+        x[own] = _turned(x[own], along)
+    mirrors: tuple[int, ...] = ()
+    moved = 0.0
+    if rules.symmetric is not None:
+        mirror = mirror_map(panels, rules.symmetric)
+        x, moved = symmetrised(panels, x, mirror)
+        mirrors = tuple(partners(panels, mirror))
+    widths, at_seam = allowances(panels, rules.seams, allowance)
+    outlines = zip(panels.outlines, widths, panels.names, strict=True)
+    cuts = [cut_line(x[outline], width, name) for outline, width, name in outlines]
     shifts = _layout([rings[0] for rings in cuts])
     x += shifts[panels.vertex_panel]
     turns = [outline[_corners(x[outline])] for outline in panels.outlines]
@@ -61,65 +75,17 @@ def make_pattern(
                 tuple(ring + shifts[k] for ring in cuts[k]),
                 turns[k] - first,
                 _grain_line(x[panels.outlines[k]]),
-                _notches(k, panels.seams, labels, x, corners),
+                _notches(k, panels.seams, labels, at_seam, x, corners),
             )
         )
-    seams = [_sewn(seam, label, x, panels) for seam, label in zip(panels.seams, labels, strict=True)]
-    return Pattern(tuple(pieces), tuple(seams), float(allowance), float(tolerance))
-
-
-def _grain(flat: FlatPanels, k: int, grain: ArrayLike | None) -> np.ndarray:
-    """Unit direction (2,) of a panel's grain: the mean slope of the height along `grain` over the flat panel."""
-    panels = flat.panels
-    corners = panels.corners[panels.panel == k]
-    x = flat.coordinates[corners]
-    if grain is not None:
-        height = panels.points[panels.vertex[corners]] @ _unit(grain)
-        one, two = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-        # the area-weighted mean of the gradient g: g . one = h1 - h0, g . two = h2 - h0, times twice the area
-        rise = (height - height[:, :1])[:, 1:]
-        slope = np.column_stack(
-            [
-                two[:, 1] * rise[:, 0] - one[:, 1] * rise[:, 1],
-                one[:, 0] * rise[:, 1] - two[:, 0] * rise[:, 0],
-            ]
-        ).sum(axis=0)
-        slope /= (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum()
-        if np.linalg.norm(slope) >= LEVEL:
-            return slope / np.linalg.norm(slope)
-    outline = flat.coordinates[panels.outlines[k]]
-    _, _, axes = np.linalg.svd(outline - outline.mean(axis=0), full_matrices=False)
-    return axes[0]
-
-
-def _unit(direction: ArrayLike) -> np.ndarray:
-    vector = np.asarray(direction, dtype=float)
-    length = np.linalg.norm(vector)
-    if vector.shape != (3,) or not 0 < length < np.inf:
-        raise InputError(
-            f"pattern: grain = {vector.tolist()}, allowed: a direction, three numbers not all zero"
-        )
-    return vector / length
+    ease = [wish or 0.0 for wish in wanted_ease(panels, rules.seams)]
+    seams = [_sewn(*seam, x, panels) for seam in zip(panels.seams, labels, at_seam, ease, strict=True)]
+    return Pattern(tuple(pieces), tuple(seams), float(allowance), float(tolerance), mirrors, moved)
 
 
 def _turned(x: np.ndarray, grain: np.ndarray) -> np.ndarray:
     """Points (v, 2) turned so that `grain` points up."""
     return np.column_stack([x @ np.array([grain[1], -grain[0]]), x @ grain])
-
-
-def _cut_line(outline: np.ndarray, allowance: float, name: str) -> tuple[np.ndarray, ...]:
-    """Rings (c, 2) of the cut line, the outer one first; InputError where the panel lies on itself."""
-    if overlaps(outline):
-        raise InputError(
-            f"panel {name!r} overlaps itself when laid flat; cut it further, with seams or groups"
-        )
-    if allowance == 0:
-        return (outline,)
-    # the two sides of a cut without opening become one
-    sides = shapely.set_precision(shapely.Polygon(outline), TOUCHING, mode="pointwise")
-    wide = shapely.make_valid(sides).buffer(allowance, join_style="mitre", mitre_limit=MITRE)
-    wide = shapely.orient_polygons(wide)
-    return tuple(shapely.get_coordinates(ring)[:-1] for ring in (wide.exterior, *wide.interiors))
 
 
 def _layout(cuts: list[np.ndarray]) -> np.ndarray:
@@ -177,11 +143,16 @@ def _label(k: int) -> str:
 
 
 def _notches(
-    k: int, seams: Sequence[Seam], labels: list[str], x: np.ndarray, corners: frozenset[int]
+    k: int,
+    seams: Sequence[Seam],
+    labels: list[str],
+    widths: list[float],
+    x: np.ndarray,
+    corners: frozenset[int],
 ) -> Notches:
     """Of panel k: at NOTCHES of every seam that is long enough, and where one ends without a corner on either side."""
-    points, inward, names = [], [], []
-    for seam, label in zip(seams, labels, strict=True):
+    points, inward, allowance, names = [], [], [], []
+    for seam, label, width in zip(seams, labels, widths, strict=True):
         for side in (0, 1):
             if seam.panels[side] != k:
                 continue
@@ -197,15 +168,18 @@ def _notches(
                     + (t - at[edge]) / (at[edge + 1] - at[edge]) * (x[run[edge + 1]] - x[run[edge]])
                 )
                 inward.append(left if side == 0 else -left)  # the first side follows its outline
+                allowance.append(width)
                 names.append(f"{label}{round(3 * t)}")
-    return Notches(np.reshape(points, (-1, 2)), np.reshape(inward, (-1, 2)), tuple(names))
+    return Notches(
+        np.reshape(points, (-1, 2)), np.reshape(inward, (-1, 2)), np.array(allowance), tuple(names)
+    )
 
 
-def _sewn(seam: Seam, label: str, x: np.ndarray, panels: Panels) -> SewnSeam:
+def _sewn(seam: Seam, label: str, allowance: float, ease: float, x: np.ndarray, panels: Panels) -> SewnSeam:
     lengths = [float(np.linalg.norm(np.diff(x[side], axis=0), axis=1).sum()) for side in seam.sides]
     first = np.searchsorted(panels.vertex_panel, seam.panels)
     sides = (seam.sides[0] - first[0], seam.sides[1] - first[1])
-    return SewnSeam(label, seam.panels, sides, (lengths[0], lengths[1]))
+    return SewnSeam(label, seam.panels, sides, (lengths[0], lengths[1]), allowance, ease)
 
 
 def pattern_summary(pattern: Pattern) -> dict:
@@ -236,12 +210,21 @@ def pattern_summary(pattern: Pattern) -> dict:
             "panels": [pattern.pieces[k].name for k in seam.pieces],
             "lengths": list(seam.lengths),
             "mismatch": seam.mismatch,
+            "allowance": seam.allowance,
+            "ease": seam.ease,
         }
         for seam in pattern.seams
     }
+    mirrored = {}
+    if pattern.mirrors:
+        names = [
+            [pattern.pieces[k].name, pattern.pieces[m].name] for k, m in enumerate(pattern.mirrors) if k <= m
+        ]
+        mirrored = {"symmetric": {"mirrored": names, "moved": pattern.symmetrised}}
     return {
         "panels": panels,
         "seams": seams,
+        **mirrored,
         "distortion": float(max(strain.max() for strain in worst)),
         "seam_mismatch": max((seam.mismatch for seam in pattern.seams), default=0.0),
         "seam_tolerance": pattern.tolerance,

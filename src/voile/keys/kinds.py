@@ -221,23 +221,23 @@ class Choice:
 
 
 class Grain:
-    """A direction of any length, or the name of a texture coordinate."""
+    """A direction of any length, or one of several names: by default those of the texture coordinates."""
 
-    def __init__(self) -> None:
-        self.direction = vector(nonzero=True)
+    def __init__(self, *names: str) -> None:
+        self.direction, self.names = vector(nonzero=True), names or ("u", "v")
 
     def read(self, value: Any) -> tuple[float, ...] | str:
         if isinstance(value, str):
-            if value not in ("u", "v"):
+            if value not in self.names:
                 raise Rejected(f"{show(value)} is not allowed; allowed: {self.allowed()}")
             return value
         return self.direction.read(value)
 
     def allowed(self) -> str:
-        return f'"u", "v", {self.direction.allowed()}'
+        return ", ".join([*(f'"{name}"' for name in self.names), self.direction.allowed()])
 
     def schema(self) -> dict[str, Any]:
-        return {"anyOf": [{"enum": ["u", "v"]}, self.direction.schema()]}
+        return {"anyOf": [{"enum": list(self.names)}, self.direction.schema()]}
 
 
 class Axes:

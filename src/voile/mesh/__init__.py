@@ -2,14 +2,14 @@
 
 from voile.mesh.attached import Attached
 from voile.mesh.obj import METRES, write_obj
-from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam
+from voile.mesh.pattern import Notches, Pattern, Piece, SewnSeam, is_called
 from voile.mesh.raw import RawMesh, mesh_of_arrays
 from voile.mesh.refine import refine, surface_loops
 from voile.mesh.select import inner_lines, select
 from voile.mesh.shares import edges_of, portions, shares
 from voile.mesh.shrink import shrunk
 from voile.mesh.stitches import Stitches, sewing_matrix
-from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_rest
+from voile.mesh.surface import Rest, Surface, read_body, read_mesh, read_raw, read_rest
 from voile.mesh.texture import texture_direction
 from voile.mesh.topology import Topology, boundary_loops, build_topology
 
@@ -29,10 +29,12 @@ __all__ = [
     "build_topology",
     "edges_of",
     "inner_lines",
+    "is_called",
     "mesh_of_arrays",
     "portions",
     "read_body",
     "read_mesh",
+    "read_raw",
     "read_rest",
     "refine",
     "select",

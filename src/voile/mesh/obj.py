@@ -64,6 +64,7 @@ def read_obj(path: Path) -> RawMesh:
         stitch_lines=stitch_lines if len(sewn) else None,
         notes=tuple(notes),
         in_metres=_first_line(path) == f"# {METRES}",
+        polygons=int(np.count_nonzero(counts > 3)),
     )
 
 

@@ -3,6 +3,7 @@
 All pieces lie right side up, grain line upwards, each counter-clockwise.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Notches:
-    """q notches of a piece: points (q, 2) on the sew line, unit directions (q, 2) into the piece, labels, which are
-    the same on both sides of a seam."""
+    """q notches of a piece: points (q, 2) on the sew line, unit directions (q, 2) into the piece, allowance (q,) from
+    there to the cut line, labels, which are the same on both sides of a seam."""
 
     points: np.ndarray
     inward: np.ndarray
+    allowance: np.ndarray
     labels: tuple[str, ...]
 
 
@@ -41,25 +43,38 @@ class Piece:
 @dataclass(frozen=True)
 class SewnSeam:
     """A seam: label; indices of the pieces on either side (the same twice in a dart); the points of either side's
-    run, in the same direction; and the lengths of both runs in the plane."""
+    run, in the same direction; the lengths of both runs in the plane; the seam's allowance; and its ease: by how much
+    the first side is meant to be longer."""
 
     label: str
     pieces: tuple[int, int]
     sides: tuple[np.ndarray, np.ndarray]
     lengths: tuple[float, float]
+    allowance: float
+    ease: float
 
     @property
     def mismatch(self) -> float:
-        """Difference of the two lengths."""
-        return abs(self.lengths[0] - self.lengths[1])
+        """Difference of the two lengths, beside the ease."""
+        return abs(self.lengths[0] - self.lengths[1] - self.ease)
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Pieces and seams; allowance: from the sew line to the cut line; tolerance: the mismatch of lengths that sewing
-    takes up, seams beyond it are named in the summary."""
+    """Pieces and seams; allowance: from the sew line to the cut line where no seam has its own; tolerance: the mismatch
+    of lengths that sewing takes up, seams beyond it are named in the summary. mirrors: the piece that each is the
+    mirror image of, itself in the middle; none where symmetry was not asked for; symmetrised: how far points moved
+    for it. fabric: width and length of the cloth that the pieces are laid on, None where they are in rows."""
 
     pieces: tuple[Piece, ...]
     seams: tuple[SewnSeam, ...]
     allowance: float
     tolerance: float
+    mirrors: tuple[int, ...] = ()
+    symmetrised: float = 0.0
+    fabric: tuple[float, float] | None = None
+
+
+def is_called(panel: str, name: str) -> bool:
+    """Whether a rule's name means a panel: its own, or that of the group it is a numbered piece of."""
+    return panel == name or re.fullmatch(re.escape(name) + r"-\d+", panel) is not None

@@ -31,6 +31,7 @@ class RawMesh:
     vertex_groups: dict[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     in_metres: bool = False  # the file says so: no scale applies
+    polygons: int = 0  # faces of more than three corners
 
     def __str__(self) -> str:
         return self.source

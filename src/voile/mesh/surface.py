@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,12 +90,13 @@ def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True
     that vanish in a seam dropped, each with a note; without `seams` stitches are passed over.
     Raises InputError naming file, line, vertex or triangle if the file or the mesh cannot be used.
     """
-    raw = _read_raw(path, scale)
+    raw = read_raw(path, scale)
     if not seams:
         raw.stitch_vertices = raw.stitch_weight = None
-    check_coordinates(raw)
-    check_triangles(raw)
-    flip = orient(raw)
+    with _mendable(raw):
+        check_coordinates(raw)
+        check_triangles(raw)
+        flip = orient(raw)
     used = np.zeros(len(raw.points), dtype=bool)
     used[raw.triangles] = True
     keep = sew(raw, used)
@@ -160,7 +162,7 @@ def read_rest(
             f"{surface.source}, texture coordinates",
         )
     else:
-        raw = _read_raw(spec if isinstance(spec, RawMesh) else Path(relative_to) / spec, scale)
+        raw = read_raw(spec if isinstance(spec, RawMesh) else Path(relative_to) / spec, scale)
         file = surface.coarsest
         check_coordinates(raw)
         _check_same_triangles(raw, file)
@@ -203,7 +205,7 @@ def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
 def read_body(path: str | Path | RawMesh, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) m and triangles (m, 3) of a body, which may have holes, pieces and double edges; triangles
     without area are dropped. Raises InputError for a file that cannot be read or has no others."""
-    raw = _read_raw(path, scale)
+    raw = read_raw(path, scale)
     check_coordinates(raw)
     if not len(raw.triangles):
         raise InputError(f"{path}: no triangles")
@@ -213,7 +215,19 @@ def read_body(path: str | Path | RawMesh, scale: float = 1.0) -> tuple[np.ndarra
     return raw.points, np.delete(raw.triangles, flat, axis=0)
 
 
-def _read_raw(path: str | Path | RawMesh, scale: float) -> RawMesh:
+@contextlib.contextmanager
+def _mendable(raw: RawMesh) -> Iterator[None]:
+    """Offers `voile mesh repair` where a file has triangles, but some cannot be used."""
+    try:
+        yield
+    except InputError as error:
+        if not len(raw.triangles) or not Path(raw.source).is_file():
+            raise
+        raise InputError(f"{error} ('voile mesh repair {raw.source}' mends it)") from None
+
+
+def read_raw(path: str | Path | RawMesh, scale: float = 1.0) -> RawMesh:
+    """A mesh as its file says it, scaled to metres. Raises InputError for a file that is no mesh."""
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"{path}: scale = {scale}, allowed: a positive number (metres per unit of the file)")
     if isinstance(path, RawMesh):
@@ -265,7 +279,7 @@ def _of_meshio(path: Path, mesh: meshio.Mesh) -> RawMesh:
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"{path}: points of shape {points.shape}, allowed: 2 or 3 coordinates a point")
     points = np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
-    triangles, tags, names = [], [], _group_names(mesh)
+    triangles, tags, names, polygons = [], [], _group_names(mesh), 0
     for block, (cells, tag) in enumerate(zip(mesh.cells, _group_tags(mesh), strict=True)):
         if cells.dim < 2 and cells.type not in ("polygon",):
             continue
@@ -277,6 +291,7 @@ def _of_meshio(path: Path, mesh: meshio.Mesh) -> RawMesh:
         corners = np.array([len(cell) for cell in cells.data], dtype=np.int64)
         storage = np.concatenate([np.asarray(cell, dtype=np.int64) for cell in cells.data])
         at, cell = fan(corners)
+        polygons += int(np.count_nonzero(corners > 3))
         triangles.append(storage[at])
         tags.append(np.asarray(tag)[cell])
     tag = np.concatenate(tags) if tags else np.zeros(0, dtype=np.int64)
@@ -288,6 +303,7 @@ def _of_meshio(path: Path, mesh: meshio.Mesh) -> RawMesh:
         group=group,
         group_names=tuple(names.get(int(i), str(i)) for i in used),
         vertex_groups=_vertex_groups(mesh),
+        polygons=polygons,
     )
 
 

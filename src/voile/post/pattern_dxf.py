@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import name_height, seam_labels
+from voile.post.pattern_svg import fabric_corners, name_height, seam_labels, slope
 from voile.results import Pattern, Piece
 
 CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT = "1", "2", "4", "7", "8", "14", "15"
@@ -17,8 +17,8 @@ NAME = 31  # characters of a block's name in R12
 def write_dxf(path: str | Path, pattern: Pattern) -> None:
     """Write the pattern as DXF R12 (AC1009): one BLOCK for each piece, inserted once at the origin.
 
-    Layers: 1 cut line, 2 turn points, 4 notches (a point on the sew line), 7 grain line, 14 sew line, 15 text; of 8,
-    internal lines, there are none. Raises InputError if the file cannot be written.
+    Layers: 1 cut line, 2 turn points, 4 notches (a point on the sew line), 7 grain line, 14 sew line, 15 text; 8
+    the edges of the fabric, if the pieces are laid on one. Raises InputError if the file cannot be written.
     """
     from ezdxf.document import Drawing
 
@@ -33,7 +33,10 @@ def write_dxf(path: str | Path, pattern: Pattern) -> None:
         space.add_blockref(name, (0, 0), dxfattribs={"layer": CUT})
     for k, label, at, inward, height in seam_labels(pattern):
         letters = min(1.0, 1e3 * height / LETTER)
-        _write(blocks[k], 1e3 * at + 4 * letters * LETTER * inward, f"Seam: {label}", letters)
+        _write(blocks[k], 1e3 * at + 4 * letters * LETTER * inward, f"Seam: {label}", letters, slope(inward))
+    if pattern.fabric:
+        cloth = 1e3 * fabric_corners(pattern)
+        space.add_polyline2d(cloth.tolist(), close=True, dxfattribs={"layer": INTERNAL})
     _write(space, [0.0, -3 * LETTER], "Units: METRIC")
     text = io.StringIO()
     document.write(text)
@@ -70,10 +73,10 @@ def _draw(block, piece: Piece) -> None:
         _write(block, middle - np.array([0.0, 1.5 * k * letters * LETTER]), line, letters)
 
 
-def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0) -> None:
-    """Text centred at a point (mm)."""
+def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0, angle: float = 0.0) -> None:
+    """Text centred at a point (mm), turned by an angle (degrees)."""
     from ezdxf.enums import TextEntityAlignment
 
     place = (float(at[0]), float(at[1]))
-    line = space.add_text(text, height=letters * LETTER, dxfattribs={"layer": TEXT})
+    line = space.add_text(text, height=letters * LETTER, dxfattribs={"layer": TEXT, "rotation": angle})
     line.set_placement(place, align=TextEntityAlignment.MIDDLE_CENTER)

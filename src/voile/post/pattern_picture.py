@@ -6,7 +6,16 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.post.pattern_svg import CLOTH, arrows, mark_length, name_height, notch_lines, seam_labels
+from voile.post.pattern_svg import (
+    CLOTH,
+    arrows,
+    fabric_corners,
+    mark_length,
+    name_height,
+    notch_lines,
+    seam_labels,
+    slope,
+)
 from voile.results import Pattern, Piece
 
 INK, SEAM, NOTCH = "#1b1f24", "#1f5fa8", "#b3261e"
@@ -22,7 +31,8 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     """
     from matplotlib.figure import Figure  # without pyplot, which also looks for windows
 
-    everything = np.concatenate([piece.cut[0] for piece in pattern.pieces])
+    cloth = fabric_corners(pattern)
+    everything = np.concatenate([*(piece.cut[0] for piece in pattern.pieces), cloth])
     low, size = everything.min(axis=0), np.ptp(everything, axis=0)
     tall = min(max(0.86 * width * size[1] / size[0] + 0.8, 3.0), 1.4 * width)
     figure = Figure(figsize=(width, tall))
@@ -33,13 +43,20 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
     # the colours end where 99 % of the triangles do: one pointed corner does not hide the rest
     limit = max(float(np.percentile(np.concatenate(shares), 99)), EXACT)
     letter, scale = LETTER * max(size), 0.86 * width * 72 / size[0]  # m; points per m
+    axes.plot(*np.vstack([cloth, cloth[:1]]).T, "--", color=INK, linewidth=0.8)
     for piece, share in zip(pattern.pieces, shares, strict=True):
-        colours = _draw_piece(axes, piece, share, limit, letter, pattern.allowance)
+        colours = _draw_piece(axes, piece, share, limit, letter)
         _write_name(axes, piece, _percent(share.max()), scale)
     for _, label, at, inward, height in seam_labels(pattern):
         points = float(np.clip(height * scale, 3.0, 9.0))
         style = {"color": SEAM, "fontsize": points, "weight": "bold", "ha": "center", "va": "center"}
-        axes.text(*(at + 1.1 * points / scale * inward), label, bbox=BOX, **style)
+        style |= {"rotation": slope(inward), "rotation_mode": "anchor"}
+        axes.text(
+            *(at + 1.1 * points / scale * inward),
+            label,
+            bbox=BOX,
+            **style,
+        )
     axes.set_aspect("equal")
     axes.set_xlim(low[0] - letter, low[0] + size[0] + letter)
     axes.spines[["top", "right"]].set_visible(False)
@@ -59,9 +76,7 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _draw_piece(
-    axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float, allowance: float
-) -> Any:
+def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float) -> Any:
     """Cloth, distortion (f,) and lines of a piece; returns what the colour bar needs."""
     for k, ring in enumerate(piece.cut):
         axes.fill(*ring.T, facecolor="white" if k else CLOTH, edgecolor=INK, linewidth=0.9)
@@ -71,7 +86,7 @@ def _draw_piece(
     outline = piece.points[piece.outline]
     axes.plot(*np.vstack([outline, outline[:1]]).T, color=SEAM, linewidth=0.8)
     mark = mark_length(piece, letter)
-    for line in notch_lines(piece, mark, allowance):
+    for line in notch_lines(piece, mark):
         axes.plot(*line.T, color=NOTCH, linewidth=1.2)
     for line in (piece.grain, *arrows(piece.grain, mark)):
         axes.plot(*line.T, color=INK, linewidth=0.9)

@@ -1,6 +1,6 @@
 """Results of a run: the file `result.vtkhdf`, `summary.json` and, for panels, `pattern.json`."""
 
-from voile.mesh import Pattern, Piece
+from voile.mesh import Pattern, Piece, SewnSeam
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field
 from voile.results.folder import held_output, prepare_output
 from voile.results.pattern import read_pattern, write_pattern
@@ -19,6 +19,7 @@ __all__ = [
     "Restart",
     "Result",
     "ResultWriter",
+    "SewnSeam",
     "StaticMesh",
     "held_output",
     "open_result",

@@ -46,11 +46,16 @@ def read_pattern(result: str | os.PathLike[str]) -> Pattern:
                     (s["pieces"][0], s["pieces"][1]),
                     (np.array(s["sides"][0]), np.array(s["sides"][1])),
                     (s["lengths"][0], s["lengths"][1]),
+                    s["allowance"],
+                    s["ease"],
                 )
                 for s in data["seams"]
             ),
             data["allowance"],
             data["tolerance"],
+            tuple(data["mirrors"]),
+            data["symmetrised"],
+            tuple(data["fabric"]) if data["fabric"] else None,
         )
     except (OSError, UnicodeDecodeError, KeyError, TypeError, IndexError, json.JSONDecodeError) as error:
         raise InputError(f"{path}: damaged pattern file: {type(error).__name__}: {error}") from None
@@ -58,7 +63,8 @@ def read_pattern(result: str | os.PathLike[str]) -> Pattern:
 
 def _piece(data: dict[str, Any]) -> Piece:
     n = data["notches"]
-    notches = Notches(_pairs(n["points"]), _pairs(n["inward"]), tuple(n["labels"]))
+    reach = np.array(n["allowance"], dtype=float)
+    notches = Notches(_pairs(n["points"]), _pairs(n["inward"]), reach, tuple(n["labels"]))
     points, stretches, grain = (_pairs(data[key]) for key in ("points", "stretches", "grain"))
     cut = tuple(_pairs(ring) for ring in data["cut"])
     triangles, outline, turns = (np.array(data[key], dtype=int) for key in ("triangles", "outline", "turns"))

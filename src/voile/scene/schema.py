@@ -30,6 +30,7 @@ from voile.mesh import RawMesh
 from voile.scene.loads import SELECT, SELECTED, Band, Loads, Mass, Spring, Tie
 from voile.scene.moves import Move
 from voile.scene.obstacles import Body, Obstacle
+from voile.scene.pattern import Pattern
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Modes, Output, Statics
 
 
@@ -186,6 +187,7 @@ class Scene:
     dynamics: Dynamics = key(Table(Dynamics), "task = dynamics", default=Dynamics())
     modes: Modes = key(Table(Modes), "task = modes", default=Modes())
     inverse: Inverse = key(Table(Inverse), "task = inverse", default=Inverse())
+    pattern: Pattern = key(Table(Pattern), "task = inverse: the sewing pattern", default=Pattern())
     output: Output = key(Table(Output), "results", default=Output())
     text: str = ""
     path: Path = Path()
@@ -222,6 +224,8 @@ class Scene:
             for index, body in enumerate(self.obstacle):
                 if getattr(body, "frames", None):
                     raise Rejected("allowed with task = dynamics", ("obstacle", index, "frames"))
+        if self.pattern != Pattern() and (self.scene.task != "inverse" or self.inverse.estimate):
+            raise Rejected("allowed with task = inverse, without inverse.estimate", ("pattern",))
         if self.scene.task == "modes":
             self._check_modes(given)
         if self.statics.control == "arc-length":

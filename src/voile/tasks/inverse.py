@@ -3,10 +3,12 @@
 import time
 from dataclasses import replace
 
+from voile.errors import on_root
 from voile.inverse.result import InverseResult, inverse_report
 from voile.inverse.solve import InverseOptions
 from voile.problem.shell import Shell
 from voile.tasks.estimate import estimate
+from voile.tasks.patterns import check_wishes
 from voile.tasks.rest import find_panels, find_surface, write_result
 from voile.tasks.run import Run
 
@@ -21,6 +23,7 @@ def run(job: Run) -> str:
     if spec.estimate:
         return estimate(job)
     shell = job.sewn(_target_shell(job))
+    on_root(job.comm, lambda: check_wishes(job.model, shell, job.scene))
     options = InverseOptions(
         spec.friction,
         spec.contact_tolerance,

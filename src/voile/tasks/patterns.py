@@ -8,11 +8,15 @@ import numpy as np
 from voile.errors import InputError, NotConverged
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.overlaps import split_overlaps
-from voile.inverse.panels import split
+from voile.inverse.panels import Groups, Panels, split
 from voile.inverse.pattern import make_pattern, pattern_summary, sewing
+from voile.inverse.rules import NO_RULES, PanelRule, Rules, SeamRule, check_rules
 from voile.inverse.stitched import add_stitches
-from voile.mesh import Pattern, build_topology
+from voile.inverse.symmetric import mirror_map
+from voile.mesh import Pattern, Surface, build_topology
 from voile.problem.shell import Shell
+from voile.scene.pattern import AXES
+from voile.scene.schema import Scene
 
 
 def lay_flat(model, shell: Shell, points: np.ndarray, cut_overlaps: bool) -> FlatPanels:
@@ -20,15 +24,23 @@ def lay_flat(model, shell: Shell, points: np.ndarray, cut_overlaps: bool) -> Fla
     several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. cut_overlaps:
     panels that overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot
     be laid flat."""
+    if not cut_overlaps:
+        return flatten(_cut(model, shell, points))
     surface = model.surface
-    groups = (surface.group, surface.group_names) if len(surface.group_names) > 1 else None
-    if cut_overlaps:
-        flat = split_overlaps(shell.triangles, points, groups, model.cuts, cut_open=True)
-    else:
-        flat = flatten(split(shell.triangles, points, groups, model.cuts, cut_open=True))
+    flat = split_overlaps(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
     if surface.stitches is None:
         return flat
     return replace(flat, panels=add_stitches(flat.panels, surface.stitches))
+
+
+def _cut(model, shell: Shell, points: np.ndarray) -> Panels:
+    surface = model.surface
+    panels = split(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
+    return panels if surface.stitches is None else add_stitches(panels, surface.stitches)
+
+
+def _groups(surface: Surface) -> Groups | None:
+    return (surface.group, surface.group_names) if len(surface.group_names) > 1 else None
 
 
 def cut_apart(shell: Shell, flat: FlatPanels) -> Shell:
@@ -77,9 +89,32 @@ def moved(flat: FlatPanels, coordinates: np.ndarray) -> FlatPanels:
     return replace(flat, coordinates=coordinates, stretches=stretches)
 
 
-def draw(flat: FlatPanels, allowance: float, up: np.ndarray | None) -> Pattern:
-    """The pattern of flat panels, its grain along `up` in space. Raises InputError for one that overlaps itself."""
-    return make_pattern(flat, allowance, None if up is None else up.tolist())
+def check_wishes(model, shell: Shell | None, scene: Scene) -> None:
+    """Raises InputError, before anything is solved, where the scene's pattern does not fit the target's panels."""
+    rules = wishes(scene)
+    if rules == NO_RULES or shell is None:
+        return
+    panels = _cut(model, shell, shell.points)
+    check_rules(panels, rules.panels, rules.seams)
+    if rules.symmetric is not None:
+        mirror_map(panels, rules.symmetric)
+
+
+def wishes(scene: Scene) -> Rules:
+    """What the scene's pattern asks of panels and seams."""
+    wish = scene.pattern
+    return Rules(
+        tuple(PanelRule(panel.panel, panel.grain) for panel in wish.panel),
+        tuple(SeamRule(seam.between, seam.allowance, seam.ease) for seam in wish.seam),
+        AXES.index(wish.symmetric) if isinstance(wish.symmetric, str) else None,
+    )
+
+
+def draw(flat: FlatPanels, scene: Scene, up: np.ndarray | None) -> Pattern:
+    """The pattern of flat panels as the scene asks, its grain along `up` in space. Raises InputError for one that
+    overlaps itself, or that does not fit the scene's keys."""
+    allowance = scene.inverse.seam_allowance
+    return make_pattern(flat, allowance, None if up is None else up.tolist(), rules=wishes(scene))
 
 
 def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) -> dict:
@@ -103,7 +138,7 @@ def pattern_of_surface(
     model,
     shell: Shell,
     rest: np.ndarray,
-    allowance: float,
+    scene: Scene,
     up: np.ndarray | None,
     picture: bool,
 ) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
@@ -112,7 +147,7 @@ def pattern_of_surface(
     there is none."""
     try:
         flat = lay_flat(model, shell, rest, cut_overlaps=False)
-        pattern = draw(flat, allowance, up)
+        pattern = draw(flat, scene, up)
         points = np.concatenate([piece.points for piece in pattern.pieces])
         figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)
         return figures, points, flat.panels.corners

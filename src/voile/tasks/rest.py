@@ -160,7 +160,7 @@ def _up(shell) -> np.ndarray | None:
 def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: np.ndarray) -> dict:
     """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
     assert shell is not None
-    pattern = draw(flat, job.scene.inverse.seam_allowance, _up(shell))
+    pattern = draw(flat, job.scene, _up(shell))
     write_rest_obj(
         job.folder / "rest.obj", flat.panels, pattern, target[first_copies(flat)], _title(job.scene)
     )
@@ -175,7 +175,7 @@ def _write_surface(job: Run, shell: Shell | None, rest: np.ndarray) -> dict:
     laid = replace(shell, rest_points=rest)
     spec = job.scene.inverse
     figures, flat, corners = pattern_of_surface(
-        job.folder, job.model, laid, rest, spec.seam_allowance, _up(shell), picture=bool(spec.developable)
+        job.folder, job.model, laid, rest, job.scene, _up(shell), picture=bool(spec.developable)
     )
     write_obj(
         job.folder / "rest.obj", rest, shell.triangles, flat, corners, groups=(s.group, s.group_names),

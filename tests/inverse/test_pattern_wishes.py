@@ -1,0 +1,254 @@
+"""What a pattern maker asks for: symmetry, grain, ease and allowance of single panels and seams."""
+
+import json
+from xml.etree import ElementTree
+
+import ezdxf
+import numpy as np
+import pytest
+import shapely
+from pattern_shapes import gores, skirt
+
+from voile.cli import main
+from voile.errors import InputError, NotConverged
+from voile.inverse.flatten import flatten
+from voile.inverse.panels import split
+from voile.inverse.pattern import make_pattern, pattern_summary
+from voile.inverse.rules import PanelRule, Rules, SeamRule
+from voile.mesh import write_obj
+from voile.post import write_dxf, write_svg
+from voile.results import read_pattern, write_pattern
+
+TILT = np.radians(80.0)
+
+
+def garment(noise: float = 0.0):
+    """A skirt of four gores and two sleeves, cones that hang 80 degrees off the vertical on either side."""
+    points, triangles = skirt()
+    group, names = gores(points, triangles)
+    cos, sin = np.cos(TILT), np.sin(TILT)
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    left = 0.4 * points @ turn + [-0.5, 0.8, 0.0]
+    right = left * [-1.0, 1.0, 1.0]
+    n, m = len(points), len(triangles)
+    everything = np.concatenate([points, left, right])
+    faces = np.concatenate([triangles, triangles + n, triangles[:, ::-1] + 2 * n])
+    group = np.concatenate([group, np.repeat([4, 5], m)])
+    rough = noise * np.random.default_rng(0).standard_normal(everything.shape)
+    return faces, everything + rough, (group, (*names, "sleeve left", "sleeve right"))
+
+
+@pytest.fixture(scope="module")
+def flat():
+    faces, points, groups = garment()
+    return flatten(split(faces, points, groups=groups, cut_open=True))
+
+
+def run_length(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def test_left_and_right_are_mirror_images():
+    """Of a garment with an error of 0.3 mm in every vertex; without asking they differ by as much."""
+    faces, points, groups = garment(noise=3e-4)
+    rough = flatten(split(faces, points, groups=groups, cut_open=True))
+
+    def apart(pattern) -> float:
+        pieces = {piece.name: piece for piece in pattern.pieces}
+        worst = 0.0
+        for one, other in (
+            ("left", "right"),
+            ("sleeve left", "sleeve right"),
+            ("front", "front"),
+            ("back", "back"),
+        ):
+            a, b = (pieces[name].points[pieces[name].outline] for name in (one, other))
+            a, b = a - a.mean(axis=0), (b - b.mean(axis=0)) * [-1.0, 1.0]
+            near = np.linalg.norm(a[:, None] - b, axis=2).min(axis=1)
+            worst = max(worst, near.max())
+        return worst
+
+    pattern = make_pattern(rough, rules=Rules(symmetric=0))
+    assert apart(make_pattern(rough)) > 1e-4 and apart(pattern) < 1e-12
+    told = pattern_summary(pattern)["symmetric"]
+    assert ["left", "right"] in told["mirrored"] and ["front", "front"] in told["mirrored"]
+    assert 1e-4 < told["moved"] < 3e-3
+
+
+def test_what_has_no_mirror_image_is_named():
+    faces, points, groups = garment()
+    with pytest.raises(
+        InputError, match=r"vertex \d+ at .* has no mirror image over y = .* allowed: a mesh whose"
+    ):
+        make_pattern(flatten(split(faces, points, groups=groups, cut_open=True)), rules=Rules(symmetric=1))
+    group = groups[0].copy()
+    group[np.flatnonzero(group == 1)[:3]] = 0
+    panels = split(faces, points, groups=(group, groups[1]), cut_open=True)
+    with pytest.raises(InputError, match="panel '.*' is cut otherwise than its mirror image across x"):
+        make_pattern(flatten(panels), rules=Rules(symmetric=0))
+
+
+def test_sleeves_have_their_grain_along_their_axis(flat):
+    """The sector of a cone lies symmetric about its grain line, though the cone is nearly level."""
+
+    def lopsided(pattern, name) -> float:
+        piece = next(piece for piece in pattern.pieces if piece.name == name)
+        x = piece.points[piece.outline, 0]
+        return abs(x.max() + x.min() - 2 * piece.grain[0, 0]) / np.ptp(x)
+
+    pattern = make_pattern(flat)
+    asked = make_pattern(flat, rules=Rules((PanelRule("sleeve left", (0.0, 1.0, 0.0)),)))
+    assert lopsided(pattern, "sleeve left") < 1e-9 and lopsided(pattern, "sleeve right") < 1e-9
+    assert lopsided(asked, "sleeve left") > 0.02 and lopsided(asked, "sleeve right") < 1e-9
+    with pytest.raises(InputError, match="grain = 'tube' of 'front', which is not sewn to itself"):
+        make_pattern(flat, rules=Rules((PanelRule("front", "tube"),)))
+
+
+def test_seams_have_their_own_allowance_and_hem(flat, tmp_path):
+    """The cut line is as far outside as each seam asks; svg and dxf say so."""
+    seams = (SeamRule(("front", "right"), 0.02), SeamRule(("back",), 0.04), SeamRule(("back", "left"), 0.0))
+    pattern = make_pattern(flat, allowance=0.01, rules=Rules(seams=seams))
+    wish = {frozenset({"front", "right"}): 0.02, frozenset({"back", "left"}): 0.0}
+    for seam in pattern.seams:
+        names = frozenset(pattern.pieces[k].name for k in seam.pieces)
+        assert seam.allowance == wish.get(names, 0.01)
+        for k, side in zip(seam.pieces, seam.sides, strict=True):
+            piece = pattern.pieces[k]
+            ring, run = shapely.LinearRing(piece.cut[0]), piece.points[side]
+            distance = shapely.distance(ring, shapely.points(run[len(run) // 4 : -(len(run) // 4)]))
+            assert distance == pytest.approx(seam.allowance, abs=1e-6)
+    back = next(piece for piece in pattern.pieces if piece.name == "back")
+    low = back.points[back.outline][:, 1].min()
+    assert low - back.cut[0][:, 1].min() == pytest.approx(0.04, abs=1e-4)  # its hem, of short straight edges
+    write_svg(tmp_path / "p.svg", pattern)
+    write_dxf(tmp_path / "p.dxf", pattern)
+    texts = [e.text for e in ElementTree.parse(tmp_path / "p.svg").iter() if e.text]
+    label = next(s.label for s in pattern.seams if s.allowance == 0.02)
+    assert texts.count(f"{label} | 20 mm") == 2
+    drawn = [t.dxf.text for block in ezdxf.readfile(tmp_path / "p.dxf").blocks for t in block.query("TEXT")]
+    assert drawn.count(f"Seam: {label} | 20 mm") == 2
+    for piece in pattern.pieces:
+        for point, way, width in zip(
+            *(getattr(piece.notches, n) for n in ("points", "inward", "allowance")), strict=True
+        ):
+            assert shapely.LinearRing(piece.cut[0]).distance(shapely.Point(point - width * way)) < 1e-6
+
+
+def test_ease_makes_one_side_longer(flat, tmp_path):
+    """By what was asked for, the other panel and other seams of the same panel as good as unchanged."""
+    pattern = make_pattern(flat, rules=Rules(seams=(SeamRule(("right", "front"), ease=0.015),)))
+    plain = make_pattern(flat)
+    for seam, before in zip(pattern.seams, plain.seams, strict=True):
+        names = [pattern.pieces[k].name for k in seam.pieces]
+        lengths = dict(zip(names, seam.lengths, strict=True)) if len(set(names)) == 2 else {}
+        if set(names) == {"front", "right"}:
+            assert lengths["right"] - lengths["front"] == pytest.approx(0.015, abs=2e-8)
+            assert lengths["front"] == pytest.approx(0.55, abs=1e-9) and seam.mismatch < 2e-8
+            eased = seam
+        else:
+            assert seam.lengths == pytest.approx(before.lengths, abs=1.5e-3)
+    assert pattern_summary(pattern)["seams_beyond_tolerance"] == []
+    write_pattern(tmp_path, pattern)
+    back = read_pattern(tmp_path)
+    assert [s.ease for s in back.seams] == [s.ease for s in pattern.seams] and back.mirrors == ()
+    write_svg(tmp_path / "p.svg", pattern)
+    texts = [e.text for e in ElementTree.parse(tmp_path / "p.svg").iter() if e.text]
+    assert texts.count(f"{eased.label} | ease 15 mm") == 1 and texts.count(eased.label) == 1
+    with pytest.raises(NotConverged, match="ease between .* ask for less|not flat"):
+        make_pattern(flat, rules=Rules(seams=(SeamRule(("right", "front"), ease=-3.0),)))
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        (
+            Rules((PanelRule("hood", "long"),)),
+            r"pattern.panel.0.panel: no panel 'hood'; allowed: front, left",
+        ),
+        (
+            Rules(seams=(SeamRule(("front", "back"), 0.01),)),
+            r"pattern.seam.0.between: no seam joins 'front' and 'back'",
+        ),
+    ],
+)
+def test_rules_for_nothing_are_refused(flat, rules, message):
+    with pytest.raises(InputError, match=message):
+        make_pattern(flat, rules=rules)
+
+
+SCENE = """
+[scene]
+task = "inverse"
+[shell]
+mesh = "skirt.obj"
+young = 1e8
+thickness = 1e-3
+density = 300.0
+[loads]
+gravity = [0.0, -9.81, 0.0]
+[[fix]]
+select = { box = [[-1, 0.999, -1], [1, 1.1, 1]] }
+[inverse]
+method = "direct"
+seam_allowance = 0.01
+"""
+WISHES = """
+[pattern]
+symmetric = "x"
+[[pattern.panel]]
+panel = "back"
+grain = "long"
+[[pattern.seam]]
+between = ["front", "left"]
+ease = 0.01
+[[pattern.seam]]
+between = ["front", "right"]
+ease = 0.01
+[[pattern.seam]]
+between = ["front"]
+allowance = 0.03
+"""
+
+
+def scene(folder, wishes: str) -> str:
+    points, triangles = skirt()
+    points[:, 1] += 1.0 - points[:, 1].max()
+    write_obj(folder / "skirt.obj", points, triangles, groups=gores(points, triangles))
+    path = folder / "scene.toml"
+    path.write_text(SCENE + wishes)
+    return str(path)
+
+
+def test_a_scene_asks_for_all_of_it(tmp_path, capsys):
+    assert main(["run", scene(tmp_path, WISHES), "-o", str(tmp_path / "out")]) == 0, capsys.readouterr().err
+    pattern = read_pattern(tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]["pattern"]
+    assert told["symmetric"]["moved"] < 1e-6 and ["right", "left"] in told["symmetric"]["mirrored"]
+    pieces = {piece.name: piece for piece in pattern.pieces}
+    left, right = (pieces[name].points for name in ("left", "right"))
+    assert np.ptp(left, axis=0) == pytest.approx(np.ptp(right, axis=0), abs=1e-12)
+    eased = [seam for seam in pattern.seams if seam.ease]
+    assert len(eased) == 2 and max(seam.mismatch for seam in pattern.seams) < 2e-3
+    hem = pieces["front"].points[:, 1].min() - pieces["front"].cut[0][:, 1].min()
+    assert hem == pytest.approx(0.03, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("wishes", "said"),
+    [
+        ('[[pattern.panel]]\npanel = "hood"\ngrain = "long"\n', "panel.0.panel = 'hood' is no panel; allowed: back"),
+        ('[[pattern.panel]]\npanel = "back"\ngrain = "up"\n', 'is not allowed; allowed: "tube", "long"'),
+        ('[[pattern.seam]]\nbetween = ["front", "back"]\nease = 0.01\n', "no seam joins 'front' and 'back'"),
+        ('[[pattern.seam]]\nbetween = ["front"]\nease = 0.01\n', "of a free border; allowed: between two panels"),
+        ('[[pattern.seam]]\nbetween = ["front"]\n', "says nothing of the seam; allowed: with allowance or ease"),
+        ('[[pattern.seam]]\nbetween = ["front"]\nallowance = 9.0\n', "pattern.seam.0.allowance: 9 m; allowed: at most"),
+        ('[pattern]\nsymmetric = "y"\n', "has no mirror image over y"),
+        ('[pattern]\nsymmetric = "x"\n[scene]\n', "pattern: allowed with task = inverse"),
+    ],
+)  # fmt: skip
+def test_wishes_that_cannot_be_are_refused_before_anything_is_solved(tmp_path, capsys, wishes, said):
+    path = scene(tmp_path, wishes.removesuffix("[scene]\n"))
+    options = ["--set", "scene.task=statics"] if wishes.endswith("[scene]\n") else []
+    assert main(["run", path, "-o", str(tmp_path / "out"), *options]) == 2
+    error = capsys.readouterr().err
+    assert said in error and not (tmp_path / "out" / "rest.obj").exists(), error
