@@ -130,7 +130,7 @@ def test_quads_are_told_and_bad_options_refused(tmp_path, capsys):
         (["-o", "x.ply"], "allowed: a file named .obj"),
         (["--weld", "2"], "--weld 2; allowed: 0 to 0.1"),
         (["--fill-holes", "-1"], "--fill-holes -1; allowed: 0 or more"),
-        (["-o", str(path)], "is the file to repair"),
+        (["-o", str(path)], "is the file it is made from"),
         (["--drop-pieces", "9"], "no triangle is left to repair (triangles of pieces of fewer than 9"),
     ):
         assert main(["mesh", "repair", str(path), *options]) == 2

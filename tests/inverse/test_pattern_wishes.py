@@ -7,6 +7,7 @@ import ezdxf
 import numpy as np
 import pytest
 import shapely
+from mesh_helpers import areas, loops_of
 from pattern_shapes import gores, skirt
 
 from voile.cli import main
@@ -15,7 +16,7 @@ from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
 from voile.inverse.pattern import make_pattern, pattern_summary
 from voile.inverse.rules import PanelRule, Rules, SeamRule
-from voile.mesh import write_obj
+from voile.mesh import read_mesh, write_obj
 from voile.post import write_dxf, write_svg
 from voile.results import read_pattern, write_pattern
 
@@ -252,3 +253,33 @@ def test_wishes_that_cannot_be_are_refused_before_anything_is_solved(tmp_path, c
     assert main(["run", path, "-o", str(tmp_path / "out"), *options]) == 2
     error = capsys.readouterr().err
     assert said in error and not (tmp_path / "out" / "rest.obj").exists(), error
+
+
+def test_a_mesh_that_does_not_mirror_itself_is_made_to(tmp_path, capsys):
+    """A skirt of four gores turned by 7 degrees on its axis: half of it and its image give a symmetric pattern."""
+    points, triangles = skirt()
+    turn = np.radians(7.0)
+    points = points @ np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
+    write_obj(tmp_path / "skew.obj", points, triangles, groups=gores(points, triangles))
+    out = tmp_path / "even.obj"
+    assert main(["mesh", "mirror", str(tmp_path / "skew.obj"), "--across", "x", "-o", str(out)]) == 0
+    even = read_mesh(out)
+    assert set(even.group_names) == {"front", "left", "back", "right"} and even.notes == ()
+    assert len(loops_of(even)) == 2
+    assert areas(even.points, even.triangles).sum() == pytest.approx(areas(points, triangles).sum(), rel=5e-3)
+    assert areas(even.points, even.triangles).min() > 1e-2 * np.median(areas(points, triangles))
+    panels = split(even.triangles, even.points, groups=(even.group, even.group_names), cut_open=True)
+    pattern = make_pattern(flatten(panels), rules=Rules(symmetric=0))
+    left, right = (next(p for p in pattern.pieces if p.name == name) for name in ("left", "right"))
+    assert np.sort(left.points[:, 0]) - left.points[:, 0].min() == pytest.approx(
+        right.points[:, 0].max() - np.sort(right.points[:, 0])[::-1], abs=1e-12
+    )
+    figures = json.loads((tmp_path / "even.json").read_text())
+    assert abs(figures["plane"]["x"]) < 1e-3 and 0 < figures["other_half"]["apart"] < 0.02
+    for options, message in (
+        ([], "mesh mirror without --across"),
+        (["--across", "x", "--at", "9"], "nothing lies on that side of x = 9"),
+        (["--across", "x", "--unit", "cm"], "--unit is no option of mesh mirror"),
+    ):
+        assert main(["mesh", "mirror", str(tmp_path / "skew.obj"), *options]) == 2
+        assert message in capsys.readouterr().err

@@ -36,7 +36,7 @@ def mirror_map(panels: Panels, axis: int) -> np.ndarray:
         raise InputError(
             f"pattern.symmetric: vertex {lone[0]} at ({where}) m has no mirror image over {letter} = {place:.4g} m, "
             f"the nearest vertex is {distance[lone[0]]:.2g} m off ({len(lone)} such vertices); allowed: a mesh whose "
-            "triangles mirror each other"
+            f"triangles mirror each other ('voile mesh mirror FILE --across {letter}' makes one)"
         )
     return _of_panels(panels, partner, letter)
 

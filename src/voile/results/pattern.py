@@ -32,7 +32,7 @@ def read_pattern(result: str | os.PathLike[str]) -> Pattern:
     path = folder / FILE
     if not path.is_file():
         raise InputError(
-            f"{result}: no {FILE} with a sewing pattern; inverse runs with developable panels write it"
+            f"{result}: no {FILE} with a sewing pattern; inverse runs write it where their rest shape can be laid flat"
         )
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

@@ -1,0 +1,164 @@
+"""A surface made symmetric: one half of it and that half's mirror image, joined on the plane between them."""
+
+from dataclasses import replace
+
+import igl
+import numpy as np
+from scipy.spatial import cKDTree
+
+from voile.errors import InputError
+from voile.mesh.raw import RawMesh
+
+PLACES = 5  # the plane is found again with the partners that it gave
+SNAP = 0.3  # of a vertex's shortest edge: nearer to the plane it is moved there, so that no sliver is cut off
+MIDDLE = 0.3  # a group with at least so much of its area on either side lies across the plane
+
+
+def plane_of(raw: RawMesh, axis: int) -> float:
+    """Where the plane of symmetry across an axis (0 to 2) is: amid the surface, as most of its vertices have it."""
+    x = raw.points[np.unique(raw.triangles)]
+    tree, place = cKDTree(x), 0.5 * (x[:, axis].min() + x[:, axis].max())
+    for _ in range(PLACES):
+        image = x.copy()
+        image[:, axis] = 2 * place - image[:, axis]
+        place = float(np.median(0.5 * (x[:, axis] + x[tree.query(image)[1], axis])))
+    return place
+
+
+def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, dict[str, float]]:
+    """The half of a mesh where side * (x[axis] - place) > 0 with its mirror image; and figures: the largest distance
+    (`apart`) and its mean square (`rms`) from the other half's vertices to what now stands there.
+
+    Triangles across the plane are cut, vertices close to it moved there. Groups go to those on the other side, and lie
+    across the plane where they did. Stitches that the half has are mirrored. Texture coordinates are dropped.
+    Raises InputError where nothing is on that side.
+    """
+    d = side * (raw.points[:, axis] - place)
+    d[np.abs(d) < SNAP * _shortest(raw)] = 0.0
+    points = raw.points.copy()
+    points[:, axis] = place + side * d
+    made, triangles, parent = _cut(points, raw.triangles, d)
+    made[len(points) :, axis] = place
+    if not len(triangles):
+        raise InputError(
+            f"{raw.source}: nothing lies on that side of {'xyz'[axis]} = {place:g}; choose another"
+        )
+    group, twin, names = _groups(raw, triangles, parent, made, axis, place, side)
+    on = np.append(d == 0.0, np.ones(len(made) - len(points), dtype=bool))
+    image, n = np.where(on, np.arange(len(made)), np.arange(len(made)) + len(made)), len(made)
+    flipped = made.copy()
+    flipped[:, axis] = 2 * place - flipped[:, axis]
+    everything = np.concatenate([made, flipped])
+    faces = np.concatenate([triangles, image[triangles][:, ::-1]])
+    used = np.zeros(2 * n, dtype=bool)
+    used[faces] = True
+    new = np.cumsum(used) - 1
+    sewn = weight = None
+    if raw.stitch_vertices is not None and raw.stitch_weight is not None:
+        whole = used[raw.stitch_vertices].all(axis=1)
+        pair = [raw.stitch_vertices[whole], image[raw.stitch_vertices[whole]]]
+        sewn, weight = new[np.concatenate(pair)], np.tile(raw.stitch_weight[whole], 2)
+    result = replace(
+        raw, points=everything[used], triangles=new[faces], group=np.concatenate([group, twin]), group_names=names,
+        texture=None, texture_triangles=None, stitch_vertices=sewn, stitch_weight=weight,
+        point_lines=None, triangle_lines=None, stitch_lines=None, vertex_groups={},
+    )  # fmt: skip
+    other = raw.points[np.unique(raw.triangles)]
+    other = other[side * (other[:, axis] - place) < 0]
+    if not len(other):
+        return result, {"apart": 0.0, "rms": 0.0}
+    square = igl.point_mesh_squared_distance(other, result.points, result.triangles.astype(np.int64))[0]
+    return result, {"apart": float(np.sqrt(square.max())), "rms": float(np.sqrt(square.mean()))}
+
+
+def _shortest(raw: RawMesh) -> np.ndarray:
+    """(n,) length of the shortest edge at each vertex, 0 without any."""
+    found = np.full(len(raw.points), np.inf)
+    for k in range(3):
+        ends = raw.triangles[:, [k, (k + 1) % 3]]
+        length = np.linalg.norm(raw.points[ends[:, 0]] - raw.points[ends[:, 1]], axis=1)
+        for end in ends.T:
+            np.minimum.at(found, end, length)
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def _cut(
+    points: np.ndarray, triangles: np.ndarray, d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points and those where edges meet the plane; the triangles where d (n,) is above 0, and what each was part of."""
+    signs = np.sign(d[triangles])
+    keep = (signs >= 0).all(axis=1) & (signs > 0).any(axis=1)
+    faces, parent = triangles[keep].tolist(), np.flatnonzero(keep).tolist()
+    between: dict[tuple[int, int], int] = {}
+    added: list[np.ndarray] = []
+
+    def crossing(a: int, b: int) -> int:
+        key = (min(a, b), max(a, b))
+        if key not in between:
+            between[key] = len(points) + len(added)
+            added.append((d[a] * points[b] - d[b] * points[a]) / (d[a] - d[b]))
+        return between[key]
+
+    for t in np.flatnonzero((signs > 0).any(axis=1) & (signs < 0).any(axis=1)).tolist():
+        ring: list[int] = []
+        corners = triangles[t].tolist()
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+            if d[a] >= 0:
+                ring.append(a)
+            if d[a] * d[b] < 0:
+                ring.append(crossing(a, b))
+        made = (
+            [ring] if len(ring) == 3 else _halved(ring, np.concatenate([points, np.reshape(added, (-1, 3))]))
+        )
+        faces += made
+        parent += [t] * len(made)
+    everything = np.concatenate([points, np.reshape(added, (-1, 3))])
+    return everything, np.array(faces, dtype=np.int64).reshape(-1, 3), np.array(parent, dtype=np.int64)
+
+
+def _halved(ring: list[int], points: np.ndarray) -> list[list[int]]:
+    """A quadrilateral as two triangles, along its shorter diagonal."""
+    a, b, c, d = ring
+    first = np.linalg.norm(points[a] - points[c]) <= np.linalg.norm(points[b] - points[d])
+    return [[a, b, c], [a, c, d]] if first else [[b, c, d], [b, d, a]]
+
+
+def _groups(
+    raw: RawMesh,
+    triangles: np.ndarray,
+    parent: np.ndarray,
+    points: np.ndarray,
+    axis: int,
+    place: float,
+    side: int,
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Groups of the half's triangles and of their mirror images: the group that lies there, or a new one."""
+    corners = raw.points[raw.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    middle, count = corners.mean(axis=1), len(raw.group_names)
+    here = side * (middle[:, axis] - place) > 0
+    share = np.bincount(raw.group, area * here, count) / np.maximum(
+        np.bincount(raw.group, area, count), 1e-300
+    )
+    image = middle.copy()
+    image[:, axis] = 2 * place - image[:, axis]
+    opposite = raw.group[cKDTree(middle).query(image)[1]]
+    partner, names = np.arange(count), list(raw.group_names)
+    for g in range(count):
+        if not MIDDLE <= share[g] <= 1 - MIDDLE and (raw.group == g).any():
+            votes = np.bincount(opposite[raw.group == g], area[raw.group == g], count)
+            votes[(share > 0.5) == (share[g] > 0.5)] = 0.0  # of those on the other side
+            partner[g] = int(votes.argmax()) if votes.any() else -1
+    for g in np.flatnonzero(partner < 0):
+        partner[g] = len(names)
+        names.append(f"{names[g]} mirrored")
+    group = raw.group[parent].astype(np.int64)
+    beyond = share[group] < MIDDLE  # what reaches over the plane belongs to its partner
+    group = np.where(beyond, partner[group], group)
+    twin = np.append(partner, np.zeros(len(names) - count, dtype=np.int64))
+    for g, h in enumerate(partner):
+        if h >= count:
+            twin[h] = g
+    used, index = np.unique(np.concatenate([group, twin[group]]), return_inverse=True)
+    index = index.ravel().astype(np.int32)
+    return index[: len(group)], index[len(group) :], tuple(names[g] for g in used)
