@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import voile.results
+from voile.arrays import Array, Reals
 from voile.errors import InputError, NotConverged, on_root
 from voile.results import held_output, open_result, read_summary, result_file
 from voile.results.history import read_history
@@ -50,17 +51,17 @@ class Result(voile.results.Result):
     `cell_fields`, `unit(name)`, `scalars(step)`, `figures()`, `bodies`; `n_steps`, `n_points`, `n_cells` (numbers).
     """
 
-    def __init__(self, path: Path, file: Any, summary: dict[str, Any], history: dict[str, np.ndarray]):
+    def __init__(self, path: Path, file: Any, summary: dict[str, Any], history: dict[str, Array]):
         super().__init__(path, file)
         self.summary, self.history = summary, history
 
     @property
-    def positions(self) -> np.ndarray:
+    def positions(self) -> Reals:
         """(n, 3) positions at the last step, m, in the order of the mesh's vertices; of another: `points(step)`."""
         return self.points()
 
     @property
-    def times(self) -> np.ndarray:
+    def times(self) -> Reals:
         """(n_steps,) times of the steps (s), or their load factors."""
         return self.values
 
@@ -245,7 +246,7 @@ def _folder(
 def _found(folder: Path, scene: Scene, comm: MPI.Comm, in_memory: bool) -> Result | None:
     """The result that a run of a scene left in a folder, None where it wrote none. Collective."""
 
-    def written() -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+    def written() -> tuple[dict[str, Any], dict[str, Array]] | None:
         if not result_file(folder).is_file():
             return None
         with read(folder) as found:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.motion import Motion
 from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
@@ -55,7 +56,7 @@ class Model:
     notes: list[str]
     obstacles: list[Obstacle]
     offset: float  # m, from the mid-surface to the surface that touches
-    cuts: np.ndarray  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
+    cuts: Ints  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
     holds: list[Held]  # what each [[fix]] holds
 
 
@@ -216,7 +217,7 @@ def _seams(surface: Surface) -> dict[str, Any]:
     return {} if s is None else {"slave": s.slave, "first": s.first, "second": s.second, "weight": s.weight}
 
 
-def _fabric(scene: Scene, surface: Surface, name: str) -> np.ndarray:
+def _fabric(scene: Scene, surface: Surface, name: str) -> Reals:
     """(m,) a value per triangle: [shell]'s, NaN where it gives none, overridden by [[fabric]] per group."""
     value = getattr(scene.shell, name)
     values = np.full(len(surface.triangles), np.nan if value is None else float(value))
@@ -226,7 +227,7 @@ def _fabric(scene: Scene, surface: Surface, name: str) -> np.ndarray:
     return values
 
 
-def _groups(scene: Scene, surface: Surface) -> Iterator[tuple[np.ndarray, Fabric]]:
+def _groups(scene: Scene, surface: Surface) -> Iterator[tuple[Flags, Fabric]]:
     """(m,) the triangles of each [[fabric]], and the fabric."""
     for k, fabric in enumerate(scene.fabric):
         if fabric.group not in surface.group_names:
@@ -237,7 +238,7 @@ def _groups(scene: Scene, surface: Surface) -> Iterator[tuple[np.ndarray, Fabric
         yield surface.group == surface.group_names.index(fabric.group), fabric
 
 
-def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: np.ndarray) -> np.ndarray | None:
+def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: Reals) -> Reals | None:
     """(m, 9) of an orthotropic shell (elastic/weave.py) with thickness, young and poisson."""
     if scene.shell.material != "orthotropic":
         return None
@@ -251,7 +252,7 @@ def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: np.ndarray) -> n
         raise InputError(f"{scene.path}: {error}") from None
 
 
-def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]):
+def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]):
     """Fixed axes (n, 3), motion (n, 3), clamped edges, what each table holds."""
     n, holds = len(surface.points), []
     fixed, motion = np.zeros((n, 3), dtype=bool), np.zeros((n, 3))
@@ -280,7 +281,7 @@ def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[np
     return fixed, motion, np.flatnonzero(clamped).astype(np.int32), holds
 
 
-def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
+def _moves_in_time(scene: Scene, surface: Surface, loops: list[Ints]):
     """With task = dynamics: the supports that move, and how."""
     if scene.scene.task != "dynamics":
         return ()
@@ -291,9 +292,7 @@ def _moves_in_time(scene: Scene, surface: Surface, loops: list[np.ndarray]):
     )
 
 
-def _moments(
-    scene: Scene, surface: Surface, topology: Topology, loops: list[np.ndarray]
-) -> np.ndarray | None:
+def _moments(scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]) -> Reals | None:
     """(3m,) moments per boundary half edge; a total is shared by length over the selection's boundary edges."""
     if not scene.loads.moment:
         return None

@@ -10,6 +10,7 @@ from itertools import compress
 import ipctk
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, edge_distance
 from voile.errors import InputError
 
@@ -24,11 +25,11 @@ class Candidates:
     triangle, then edges and edges; code (c,) ascending, what a pair is known by; min_distance (c,) m, that it
     keeps."""
 
-    code: np.ndarray
-    vertex: np.ndarray
+    code: Ints
+    vertex: Ints
     faces: int
-    home: np.ndarray
-    min_distance: np.ndarray
+    home: Reals
+    min_distance: Reals
 
 
 @dataclass
@@ -40,15 +41,15 @@ class Layers:
     ascending, that keep another distance apart (k,) m.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
-    edges: np.ndarray
-    excluded: np.ndarray
+    points: Reals
+    triangles: Ints
+    edges: Ints
+    excluded: Ints
     thickness: float
     friction: float
     caught: int = 0
-    known: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    min_distance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    known: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    min_distance: Reals = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
@@ -63,7 +64,7 @@ class Layers:
     def __reduce__(self):  # ipctk's mesh is not sent to other ranks
         return Layers, tuple(getattr(self, f.name) for f in fields(self))
 
-    def find(self, x: np.ndarray, kept: np.ndarray | None = None, further: float | None = None) -> Candidates:
+    def find(self, x: Reals, kept: Ints | None = None, further: float | None = None) -> Candidates:
         """Candidates at positions x (n, 3), up to `further` (m) from touching, with `known` ones and those of the codes
         kept (k,) in any case."""
         reach = self.thickness + (BAND * self.thickness if further is None else further)
@@ -77,7 +78,7 @@ class Layers:
         distance = [closest_to_triangle(corner[:split]).distance, edge_distance(corner[split:])]
         return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
 
-    def nearer(self, distance: float) -> np.ndarray:
+    def nearer(self, distance: float) -> Ints:
         """(b, 2) pairs of vertices across from each other in the pairs of the start nearer than distance (m)."""
         if distance <= 0.0:
             return np.zeros((0, 2), dtype=np.int64)
@@ -88,18 +89,18 @@ class Layers:
             [found.vertex[part][near[part]][:, side] for part, sides in parts for side in sides]
         ).astype(np.int64)
 
-    def _named(self, code: np.ndarray, x: np.ndarray) -> Candidates:
+    def _named(self, code: Ints, x: Reals) -> Candidates:
         least = np.full(len(code), self.thickness)
         least[np.isin(code, self.known)] = self.min_distance[np.isin(self.known, code)]
         return Candidates(code, self._vertices(code), self._faces(code), x.copy(), least)
 
-    def valid(self, candidates: Candidates, x: np.ndarray) -> bool:
+    def valid(self, candidates: Candidates, x: Reals) -> bool:
         """Whether no other pairs than the candidates can touch at positions x (n, 3)."""
         if len(candidates.home) != len(x):
             return False
         return bool(np.linalg.norm(x - candidates.home, axis=1).max() < 0.5 * BAND * self.thickness)
 
-    def free_share(self, x: np.ndarray, moved: np.ndarray, candidates: Candidates) -> float:
+    def free_share(self, x: Reals, moved: Reals, candidates: Candidates) -> float:
         """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1."""
         swept, n, e = ipctk.Candidates(), len(self.points), len(self.edges)
         if self.valid(candidates, x) and self.valid(candidates, moved):
@@ -115,7 +116,7 @@ class Layers:
             swept.ee_candidates = list(compress(edges, self._open(edge)))
         return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
 
-    def check_start(self, x: np.ndarray) -> None:
+    def check_start(self, x: Reals) -> None:
         """Raises InputError where layers at x (n, 3) are in the same place, or (but for what is excluded) through each
         other."""
         here = self.find(x)
@@ -135,7 +136,7 @@ class Layers:
                 f"{crossing[0]} ({place}); move its layers apart"
             )
 
-    def _crossing(self, x: np.ndarray) -> np.ndarray:
+    def _crossing(self, x: Reals) -> Ints:
         """Vertices of edges that pass through a triangle, away from what is excluded."""
         apart = self.triangles[~np.isin(self.triangles, self.excluded).any(axis=1)]
         sides = np.unique(np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -148,7 +149,7 @@ class Layers:
         through = [ipctk.is_edge_intersecting_triangle(*x[row]) for row in stencil]
         return np.unique(stencil[np.array(through, dtype=bool)][:, :2])
 
-    def check_held(self, x: np.ndarray, free: np.ndarray) -> None:
+    def check_held(self, x: Reals, free: Flags) -> None:
         """Raises InputError where what is not free (n,) keeps layers at x (n, 3) nearer than they may come."""
         here = self.find(x)
         c = closest(here, x)
@@ -161,7 +162,7 @@ class Layers:
                 f"nearer than twice the offset, {self.thickness:.4g} m; lower contact.offset or hold them further apart"
             )
 
-    def _codes(self, faces: list, edges: list) -> tuple[np.ndarray, np.ndarray]:
+    def _codes(self, faces: list, edges: list) -> tuple[Ints, Ints]:
         """Codes of ipctk's candidates, in their order."""
         n, e = len(self.points), len(self.edges)
         face = np.array([c.face_id * n + c.vertex_id for c in faces], dtype=np.int64)
@@ -169,7 +170,7 @@ class Layers:
         low, high = np.sort(np.divmod(pair, e), axis=0)
         return face, self._split + low * e + high
 
-    def _open(self, code: np.ndarray) -> np.ndarray:
+    def _open(self, code: Ints) -> Flags:
         """(c,) marks those of codes, all of faces or all of edges, that are not excluded."""
         vertex, excluded = self._vertices(code), np.zeros(len(code), dtype=bool)
         for i, j in ACROSS[0 if self._faces(code) else 1]:
@@ -178,13 +179,13 @@ class Layers:
             excluded[rows] |= np.isin(self._pair_code(one[rows], two[rows]), self._excluded)
         return ~excluded
 
-    def _pair_code(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    def _pair_code(self, i: Ints, j: Ints) -> Ints:
         return np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)
 
-    def _faces(self, code: np.ndarray) -> int:
+    def _faces(self, code: Ints) -> int:
         return int(np.count_nonzero(code < self._split))
 
-    def _vertices(self, code: np.ndarray) -> np.ndarray:
+    def _vertices(self, code: Ints) -> Ints:
         """(c, 4) of candidates by codes, those of faces first."""
         n, e, split = len(self.points), len(self.edges), self._faces(code)
         face, edge = code[:split], code[split:] - self._split
@@ -192,7 +193,7 @@ class Layers:
         return np.concatenate([first, np.column_stack([self.edges[edge // e], self.edges[edge % e]])])
 
 
-def closest(candidates: Candidates, x: np.ndarray) -> Closest:
+def closest(candidates: Candidates, x: Reals) -> Closest:
     """Of all candidates, at positions x (n, 3) of all vertices."""
     split, corner = candidates.faces, x[candidates.vertex]
     parts = closest_to_triangle(corner[:split]), closest_of_edges(corner[split:])
@@ -203,7 +204,7 @@ def closest(candidates: Candidates, x: np.ndarray) -> Closest:
     )
 
 
-def near_along(edges: np.ndarray, length: np.ndarray, n: int, limit: float) -> np.ndarray:
+def near_along(edges: Ints, length: Reals, n: int, limit: float) -> Ints:
     """(b, 2) pairs of n vertices joined by a path of edges (e, 2) of lengths (e,) m no longer than limit (m)."""
     short = length <= limit
     link = np.concatenate([edges[short], edges[short][:, ::-1]]).astype(np.int64)
@@ -221,7 +222,7 @@ def near_along(edges: np.ndarray, length: np.ndarray, n: int, limit: float) -> n
     return pair[pair[:, 0] < pair[:, 1]]
 
 
-def _shortest(pair: np.ndarray, cost: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+def _shortest(pair: Ints, cost: Reals, n: int) -> tuple[Ints, Reals]:
     """Each pair once, ascending, with its least cost; no vertex with itself."""
     order = np.lexsort((cost, pair[:, 0] * n + pair[:, 1]))
     order = order[pair[order, 0] != pair[order, 1]]

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 PARALLEL = 1e-6  # sin^2 of the angle of edges under which they have no closest pair of points
 CORNER, EDGES = 0, ((1, 2), (2, 3), (3, 1))  # places of a vertex and of a triangle's edges in a stencil
 
@@ -18,15 +20,15 @@ class Closest:
     """Of p stencils of four points: weights (p, 4) of r, their derivatives along (p, 4, 2) by the parameters (zero for
     those at their bounds), distance (p,) m, infinite where edges are not closest inside both."""
 
-    weight: np.ndarray
-    along: np.ndarray
-    distance: np.ndarray
+    weight: Reals
+    along: Reals
+    distance: Reals
 
-    def __getitem__(self, rows: np.ndarray) -> "Closest":
+    def __getitem__(self, rows: Ints) -> "Closest":
         return Closest(self.weight[rows], self.along[rows], self.distance[rows])
 
 
-def closest_to_triangle(x: np.ndarray) -> Closest:
+def closest_to_triangle(x: Reals) -> Closest:
     """x (p, 4, 3) m: a point, then a triangle's corners."""
     p = len(x)
     a, e1, e2 = x[:, 0] - x[:, 1], x[:, 2] - x[:, 1], x[:, 3] - x[:, 1]
@@ -48,7 +50,7 @@ def closest_to_triangle(x: np.ndarray) -> Closest:
     return Closest(weight, along, distance)
 
 
-def closest_of_edges(x: np.ndarray) -> Closest:
+def closest_of_edges(x: Reals) -> Closest:
     """x (p, 4, 3) m: the ends of an edge, then those of another."""
     p = len(x)
     e1, e2, a = x[:, 1] - x[:, 0], x[:, 3] - x[:, 2], x[:, 2] - x[:, 0]
@@ -62,7 +64,7 @@ def closest_of_edges(x: np.ndarray) -> Closest:
     return Closest(weight, along, np.where(inside, _length(weight, x), np.inf))
 
 
-def edge_distance(x: np.ndarray) -> np.ndarray:
+def edge_distance(x: Reals) -> Reals:
     """(p,) distances of two edges x (p, 4, 3), wherever they are closest."""
     ends = [(0, 2, 3), (1, 2, 3), (2, 0, 1), (3, 0, 1)]
     return np.minimum.reduce(
@@ -70,7 +72,7 @@ def edge_distance(x: np.ndarray) -> np.ndarray:
     )
 
 
-def derivatives(c: Closest, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def derivatives(c: Closest, x: Reals) -> tuple[Reals, Reals]:
     """Of the distances of points x (p, 4, 3): direction r / |r| (p, 3), whose products with the weights are the
     gradient, and Hessian (p, 12, 12) 1/m."""
     p = len(x)
@@ -88,22 +90,22 @@ def derivatives(c: Closest, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normal, hessian / c.distance[:, None, None]
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _dot(a: Reals, b: Reals) -> Reals:
     return np.einsum("pi,pi->p", a, b)
 
 
-def _length(weight: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _length(weight: Reals, x: Reals) -> Reals:
     return np.linalg.norm(np.einsum("pi,pik->pk", weight, x), axis=1)
 
 
-def _to_edge(point: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _to_edge(point: Reals, first: Reals, second: Reals) -> tuple[Reals, Reals]:
     """Parameter (p,) of the point of an edge nearest to points (p, 3), and its distance (p,)."""
     edge = second - first
     u = np.clip(_dot(point - first, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
     return u, np.linalg.norm(first + u[:, None] * edge - point, axis=1)
 
 
-def _solve(e1: np.ndarray, e2: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solve(e1: Reals, e2: Reals, a: Reals) -> tuple[Reals, Reals]:
     """Parameters (p,), (p,) of the point of the plane spanned by e1 and e2 (p, 3) that is nearest to a (p, 3)."""
     g11, g12, g22 = _dot(e1, e1), _dot(e1, e2), _dot(e2, e2)
     b1, b2 = _dot(e1, a), _dot(e2, a)

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from voile.arrays import Flags, Reals
 from voile.contact.crossing import entries
 from voile.contact.directions import unit
 from voile.contact.equations import Equations, Linearised
@@ -30,7 +31,7 @@ CLEAR = 0.02  # sizes: a gap from which it does not end there
 class Contact(NaturalMap):
     """The natural map as a potential and as equations."""
 
-    def free_share(self, x: np.ndarray, moved: np.ndarray) -> float:
+    def free_share(self, x: Reals, moved: Reals) -> float:
         """Share of the way from x to `moved` (n, 3) on which no layer passes through another, at most 1."""
         if not self.itself:
             return 1.0
@@ -43,14 +44,14 @@ class Contact(NaturalMap):
 
     def inside_between(
         self,
-        x: np.ndarray,
+        x: Reals,
         began: float,
-        moved: np.ndarray,
+        moved: Reals,
         ended: float,
-        shares: np.ndarray,
+        shares: Reals,
         size: float,
         touching: float,
-    ) -> np.ndarray:
+    ) -> Flags:
         """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
         time `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
         (m): the shell's; touching: sizes that no depth is."""
@@ -64,7 +65,7 @@ class Contact(NaturalMap):
         self.seconds += time.perf_counter() - start
         return inside & self.movable
 
-    def crosses(self, x: np.ndarray, began: float, moved: np.ndarray, ended: float) -> np.ndarray:
+    def crosses(self, x: Reals, began: float, moved: Reals, ended: float) -> Flags:
         """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
         obstacle and ends elsewhere on it: where the normal is another (see contact.crossing)."""
         start, found = time.perf_counter(), np.zeros(len(x), dtype=bool)
@@ -87,7 +88,7 @@ class Contact(NaturalMap):
 
     # ---- as a potential ----
 
-    def energy(self, x: np.ndarray, t: float, softness: float = 1.0) -> float:
+    def energy(self, x: Reals, t: float, softness: float = 1.0) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
         total = 0.0
         for p in self.pairs(x, t, softness, frozen=True):
@@ -97,7 +98,7 @@ class Contact(NaturalMap):
             total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
         return total
 
-    def force(self, x: np.ndarray, t: float, frozen: bool, softness: float = 1.0) -> np.ndarray:
+    def force(self, x: Reals, t: float, frozen: bool, softness: float = 1.0) -> Reals:
         """(n, 3) projected trial reactions on the shell (N)."""
         total = np.zeros_like(x)
         for p in self.pairs(x, t, softness, frozen=frozen):
@@ -107,7 +108,7 @@ class Contact(NaturalMap):
             self.collect(p, partial(p.spread, normal, tangential), total)
         return total
 
-    def blocks(self, x: np.ndarray, t: float, convex: bool, softness: float = 1.0):
+    def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0):
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
         for p in self.pairs(x, t, softness, frozen=True):
             _, push, stiff = self.guard(p)
@@ -124,7 +125,7 @@ class Contact(NaturalMap):
             tangent *= p.rho * (share * (bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.slip_weight)
 
-    def adopt(self, x: np.ndarray, t: float, softness: float = 1.0) -> None:
+    def adopt(self, x: Reals, t: float, softness: float = 1.0) -> None:
         """The projected trial reactions, with the barrier's push, become the reactions, and with them what is frozen
         in the potential."""
         pairs = self.pairs(x, t, softness)
@@ -135,7 +136,7 @@ class Contact(NaturalMap):
         self.history = fresh
         self.freeze(x, t)
 
-    def freeze(self, x: np.ndarray, t: float) -> None:
+    def freeze(self, x: Reals, t: float) -> None:
         """Tresca bounds, normals and weights of the potential as the reactions and positions x have them."""
         s = self.history
         for k, partner in enumerate(self.partners):
@@ -152,6 +153,6 @@ class Contact(NaturalMap):
 
     # ---- as equations ----
 
-    def linearise(self, x: np.ndarray, t: float) -> Linearised:
+    def linearise(self, x: Reals, t: float) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions."""
         return Linearised(self, [Equations(self, p) for p in self.pairs(x, t)])

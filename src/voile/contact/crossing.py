@@ -9,12 +9,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 MOST = 2000  # places on a way; one that is not decided by then is taken to enter (measured: under 60)
 
-Gap = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Gap = Callable[[Reals, Ints], tuple[Reals, Reals]]
 
 
-def entries(begin: np.ndarray, end: np.ndarray, gap: Gap, finest: float, touch: float) -> np.ndarray:
+def entries(begin: Reals, end: Reals, gap: Gap, finest: float, touch: float) -> Reals:
     """(n, 3) unit normals of a body where ways from `begin` to `end` (n, 3) m enter it; zero for those that do not.
 
     gap(points, rows): (k,) m to the body and its unit normal (k, 3) at points on the ways `rows`. finest (m): the

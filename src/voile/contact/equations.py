@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import Pairs, outer, times, within
 
@@ -36,7 +37,7 @@ class Equations:
     def symmetric(self) -> bool:
         return self.mu == 0.0 or not self.slips.any()
 
-    def spread(self, total: np.ndarray) -> None:
+    def spread(self, total: Reals) -> None:
         """Adds a, the reactions without a step, to the vertices' forces (n, 3), N."""
         p = self.p
         normal = np.where(self.active, self.normal - self.penalty * p.gap, 0.0)
@@ -44,14 +45,14 @@ class Equations:
         moved = normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, p.slip)
         p.spread(normal, self._chosen(stuck, moved), total)
 
-    def blocks(self) -> np.ndarray:
+    def blocks(self) -> Reals:
         """(p, 3s, 3s) D, N/m."""
         p = self.p
         moved = self.penalty * outer(p.gradient + self.along, p.gradient)
         moved += self.turning[:, None, None] * self.sideways
         return self._over_vertices(moved) + self._turned()
 
-    def _turned(self) -> np.ndarray:
+    def _turned(self) -> Reals:
         """(p, 3s, 3s) what slips: its tangent plane, and with it friction, follows the normal."""
         p, g = self.p, self.p.geometry
         count, s = g.weight.shape
@@ -63,13 +64,13 @@ class Equations:
         turned = np.einsum("p,pi,pij->pj", size, self.along, normal)
         return np.einsum("ps,pi,pj->psij", g.weight, p.unit, turned).reshape(g.curvature.shape)
 
-    def held(self) -> np.ndarray:
+    def held(self) -> Reals:
         """(p, 3s, 3s) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
         p = self.p
         moved = self.penalty * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
         return self._over_vertices(moved)
 
-    def _over_vertices(self, moved: np.ndarray) -> np.ndarray:
+    def _over_vertices(self, moved: Reals) -> Reals:
         """Blocks of what sticks, slips (`moved`, (p, 3, 3)) or is open, with the gap's curvature."""
         p = self.p
         stuck = self.penalty * (outer(p.gradient, p.gradient) + self.tangential)
@@ -78,11 +79,11 @@ class Equations:
         curved = np.where(self.active, self.pressed, 0.0)
         return p.over_vertices(block, p.geometry.weight) - curved[:, None, None] * p.curvature
 
-    def _chosen(self, stuck: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    def _chosen(self, stuck: Reals, moved: Reals) -> Reals:
         """(p, 3) friction of what sticks and slips; none where open."""
         return np.where(self.stick[:, None], stuck, np.where(self.slips[:, None], moved, 0.0))
 
-    def advance(self, dx: np.ndarray) -> None:
+    def advance(self, dx: Reals) -> None:
         """Takes the penalty's share of the reactions after the step dx (n, 3) into the multipliers."""
         p = self.p
         opening, relative = p.motion(dx)
@@ -107,7 +108,7 @@ class Linearised:
         """Which pairs are active and stick, to recognise a cycle."""
         return [(e.p.row[e.active].tobytes(), e.p.row[e.stick].tobytes()) for e in self.parts]
 
-    def force(self) -> np.ndarray:
+    def force(self) -> Reals:
         """(n, 3) reactions without a step, N."""
         total = np.zeros((len(self.contact.movable), 3))
         for e in self.parts:
@@ -124,7 +125,7 @@ class Linearised:
         for e in self.parts:
             yield e.p.stencil, e.held()
 
-    def advance(self, dx: np.ndarray) -> None:
+    def advance(self, dx: Reals) -> None:
         """Corrects the multipliers after the step dx (n, 3)."""
         for e in self.parts:
             e.advance(self.contact.partners[e.p.index].gather(dx))

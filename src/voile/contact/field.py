@@ -12,6 +12,7 @@ import igl
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.directions import TINY, unit
 from voile.contact.pairs import outer
 from voile.errors import InputError
@@ -38,11 +39,11 @@ class DistanceField:
     by the distance to it; measured: largest error (m); thinnest: part of the body (m), inf where it is thick enough.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
-    origin: np.ndarray
+    points: Reals
+    triangles: Ints
+    origin: Reals
     spacing: float
-    coefficients: np.ndarray
+    coefficients: Reals
     measured: float
     thinnest: float = np.inf
 
@@ -56,12 +57,12 @@ class DistanceField:
             f"{self.spacing:.2g} m, and may let things through: give it a resolution of {self.thinnest:.2g} m"
         )
 
-    def distance(self, p: np.ndarray) -> np.ndarray:
+    def distance(self, p: Reals) -> Reals:
         """(n,) m at points (n, 3)."""
         place, beyond = self._clamp(p)
         return self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
 
-    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
         place, beyond = self._clamp(p)
         gap, gradient, hessian = self._spline(place, 2)
@@ -71,13 +72,13 @@ class DistanceField:
         across = (away[:, :, None] * np.eye(3) - outer(out, out)) / np.maximum(far, TINY)[:, None, None]
         return gap + far, kept * gradient + out, outer(kept, kept) * hessian + across
 
-    def _clamp(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _clamp(self, p: Reals) -> tuple[Reals, Reals]:
         """The nearest places (n, 3) in spacings at which the spline is defined, and p (n, 3) from there (m)."""
         place = (p - self.origin) / self.spacing
         inner = np.clip(place, 1.0, np.array(self.coefficients.shape) - 2.0)
         return inner, (place - inner) * self.spacing
 
-    def _spline(self, place: np.ndarray, order: int) -> tuple[np.ndarray, ...]:
+    def _spline(self, place: Reals, order: int) -> tuple[Reals, ...]:
         """Value and, with order 2, gradient and Hessian of the spline at places (n, 3) in spacings."""
         last = np.array(self.coefficients.shape) - 3
         cell = np.clip(np.floor(place).astype(int), 1, last)
@@ -108,7 +109,7 @@ class DistanceField:
         return self.measured
 
 
-def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _weights(t: Reals) -> tuple[Reals, Reals, Reals]:
     """(n, 3, 4) uniform cubic B-spline weights of four nodes at t in [0, 1], their first and second derivatives."""
     s = 1.0 - t
     value = [s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (3 * s**3 - 6 * s**2 + 4) / 6, t**3 / 6]
@@ -117,7 +118,7 @@ def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def distance_field(
-    points: np.ndarray, triangles: np.ndarray, resolution: float | None = None, source: str = "mesh"
+    points: Reals, triangles: Ints, resolution: float | None = None, source: str = "mesh"
 ) -> DistanceField:
     """That of points (n, 3) m and triangles (m, 3); resolution (m): the grid's spacing, by default half the mean edge
     within bounds of the body's size.
@@ -162,14 +163,14 @@ def distance_field(
     return replace(body, measured=_measure(body, skin))
 
 
-def signed_distance(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, p: np.ndarray) -> np.ndarray:
+def signed_distance(points: Reals, triangles: Ints, skin: Ints, p: Reals) -> Reals:
     """(k,) exact distance of p (k, 3) to the triangles `skin`, negative inside the whole mesh."""
     squares = igl.point_mesh_squared_distance(np.ascontiguousarray(p), points, skin)[0]
     inside = igl.fast_winding_number(points, triangles, np.ascontiguousarray(p)) > 0.5
     return np.where(inside, -1.0, 1.0) * np.sqrt(squares)
 
 
-def _check_orientation(points: np.ndarray, triangles: np.ndarray, source: str) -> None:
+def _check_orientation(points: Reals, triangles: Ints, source: str) -> None:
     """Refuses meshes without inside, triangles turned against their neighbours, and closed pieces turned inside out
     even where the whole is not."""
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -199,7 +200,7 @@ def _check_orientation(points: np.ndarray, triangles: np.ndarray, source: str) -
         raise InputError(f"{source}: {which} inside out (normals point inwards); reverse the triangles")
 
 
-def _outer(points: np.ndarray, triangles: np.ndarray, diagonal: float) -> np.ndarray:
+def _outer(points: Reals, triangles: Ints, diagonal: float) -> Ints:
     """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -211,7 +212,7 @@ def _outer(points: np.ndarray, triangles: np.ndarray, diagonal: float) -> np.nda
     return triangles[outside.reshape(-1, 4).any(axis=1)]
 
 
-def _thin(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, most: float) -> tuple[float, float]:
+def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[float, float]:
     """How thin (m) the body is behind a small part of its skin and behind half of it, inf where that is more than
     `most` (m): how far inwards from places on it outside is, to a tenth."""
     corner = points[skin]
@@ -223,7 +224,7 @@ def _thin(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, most: flo
     place = np.einsum("pk,pki->pi", share, corner[row])
     inwards = -normal[row] / twice[row, None]
 
-    def outside(depth: np.ndarray) -> np.ndarray:
+    def outside(depth: Reals) -> Flags:
         there = np.ascontiguousarray(place + depth[:, None] * inwards)
         return igl.fast_winding_number(points, triangles, there) <= 0.5
 
@@ -240,7 +241,7 @@ def _thin(points: np.ndarray, triangles: np.ndarray, skin: np.ndarray, most: flo
     return float(found[int(PART * SAMPLES)]), float(found[int(MOST * SAMPLES)])
 
 
-def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
+def _samples(points, triangles, skin, origin, spacing, shape) -> Reals:
     """Signed distances at the grid's nodes: exact in the band around the surface, interpolated beyond."""
     few = [np.arange(0, n, COARSE) for n in shape]
     coarse = np.stack(np.meshgrid(*few, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -253,7 +254,7 @@ def _samples(points, triangles, skin, origin, spacing, shape) -> np.ndarray:
     return samples
 
 
-def _measure(body: DistanceField, skin: np.ndarray) -> float:
+def _measure(body: DistanceField, skin: Ints) -> float:
     """Largest error of the gap outside (m): at the middles of the surface's triangles and edges and its vertices, on
     the surface and one and two spacings off."""
     corner = body.points[skin]

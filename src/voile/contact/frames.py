@@ -6,6 +6,7 @@ from pathlib import Path
 import igl
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.contact.field import DistanceField, distance_field
 from voile.errors import InputError
 
@@ -17,8 +18,8 @@ class Frames:
     """points (f, n, 3) m of triangles (m, 3) at times 0, step, 2 step, ... (s). The gap at a time between two frames is
     the mean of theirs, by its share; a point on the body moves with the place of the mesh that is nearest to it."""
 
-    points: np.ndarray
-    triangles: np.ndarray
+    points: Reals
+    triangles: Ints
     step: float
     resolution: float | None
     source: str
@@ -35,22 +36,22 @@ class Frames:
         k = min(max(int(t / self.step), 0), last)
         return k, min(max(t / self.step - k, 0.0), 1.0) if k < last else 0.0
 
-    def at(self, t: float) -> np.ndarray:
+    def at(self, t: float) -> Reals:
         """(n, 3) m."""
         k, share = self.between(t)
         return self.points[k] + share * (self.points[min(k + 1, len(self.points) - 1)] - self.points[k])
 
-    def distance(self, p: np.ndarray, t: float) -> np.ndarray:
+    def distance(self, p: Reals, t: float) -> Reals:
         """(n,) m."""
         return np.sum([weight * part.distance(p) for weight, part in self._parts(t)], axis=0)
 
-    def derivatives(self, p: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def derivatives(self, p: Reals, t: float) -> tuple[Reals, Reals, Reals]:
         """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
         found = [[weight * d for d in part.derivatives(p)] for weight, part in self._parts(t)]
         gap, gradient, hessian = (np.sum(parts, axis=0) for parts in zip(*found, strict=True))
         return gap, gradient, hessian
 
-    def carry(self, p: np.ndarray, start: float, end: float) -> np.ndarray:
+    def carry(self, p: Reals, start: float, end: float) -> Reals:
         """(n, 3) where points near the body go with it."""
         before, after = self.at(start), self.at(end)
         if not len(p) or np.array_equal(before, after):
@@ -74,7 +75,7 @@ class Frames:
         return self._fields[k]
 
 
-def _shares(p: np.ndarray, corner: np.ndarray) -> np.ndarray:
+def _shares(p: Reals, corner: Reals) -> Reals:
     """(k, 3) barycentric coordinates of points (k, 3) in triangles (k, 3, 3)."""
     u, v, w = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], p - corner[:, 0]
     uu, uv, vv, wu, wv = (np.einsum("ki,ki->k", a, b) for a, b in ((u, u), (u, v), (v, v), (w, u), (w, v)))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.contact.candidates import Candidates
 
 PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight", "level")
@@ -19,18 +20,18 @@ class History:
     the step must leave: 0 but for rebounds. Of the step's start: positions reference (n, 3) m and, of all vertices,
     layers; its time, in statics the load factor. candidates: the shell's contacts with itself."""
 
-    normal: list[np.ndarray]
-    friction: list[np.ndarray]
-    tresca: list[np.ndarray]
-    frozen_normal: list[np.ndarray]
-    frozen_weight: list[np.ndarray]
-    level: list[np.ndarray]
-    reference: np.ndarray
+    normal: list[Reals]
+    friction: list[Reals]
+    tresca: list[Reals]
+    frozen_normal: list[Reals]
+    frozen_weight: list[Reals]
+    level: list[Reals]
+    reference: Reals
     time: float
     candidates: Candidates
-    layers: np.ndarray
+    layers: Reals
 
-    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "History":
+    def each(self, change: Callable[[Reals], Reals]) -> "History":
         """The history with all that there is per partner changed alike."""
         changed: dict[str, Any] = {name: [change(a) for a in getattr(self, name)] for name in PER_PARTNER}
         return replace(self, **changed)
@@ -39,7 +40,7 @@ class History:
         return self.each(np.copy)
 
 
-def blank(sizes: list[tuple[int, int]], reference: np.ndarray) -> History:
+def blank(sizes: list[tuple[int, int]], reference: Reals) -> History:
     """No reactions for partners of sizes (contacts, vertices of each)."""
     scalars, vectors, weights = (
         [np.zeros(shape(c, s)) for c, s in sizes]

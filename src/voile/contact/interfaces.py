@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from voile.arrays import Array, Flags, Ints, Reals
 from voile.contact.candidates import BAND, Candidates, Layers, closest
 from voile.contact.closest import Closest, derivatives
 from voile.contact.history import PER_PARTNER, History
@@ -23,53 +24,51 @@ class ObstacleContact:
 
     index: int
     obstacle: Obstacle
-    offset: np.ndarray
-    free: np.ndarray
-    own: np.ndarray
+    offset: Reals
+    free: Flags
+    own: Flags
 
     @property
     def friction(self) -> float:
         return self.obstacle.friction
 
-    def gather(self, x: np.ndarray) -> np.ndarray:
+    def gather(self, x: Reals) -> Reals:
         return x
 
-    def restrict(self, forces: np.ndarray) -> np.ndarray:
+    def restrict(self, forces: Reals) -> Reals:
         return forces
 
-    def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
+    def gaps(self, x: Reals, t: float, history: History) -> Reals:
         """(n,) m."""
         return self.obstacle.gap(x, t) - self.offset - history.level[self.index]
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
+    def geometry(self, rows: Ints, x: Reals, t: float, history: History) -> Geometry:
         """That of some contacts."""
         gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t)
         gap -= self.offset[rows] + history.level[self.index][rows]
         return Geometry(gap, gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
-    def moved(
-        self, rows: np.ndarray, weight: np.ndarray, x: np.ndarray, t: float, history: History
-    ) -> np.ndarray:
+    def moved(self, rows: Ints, weight: Reals, x: Reals, t: float, history: History) -> Reals:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         return x[rows] - self.obstacle.carry(history.reference[rows], history.time, t)
 
-    def movable(self, history: History) -> np.ndarray:
+    def movable(self, history: History) -> Flags:
         """(n,) marks the contacts that have unknowns."""
         return self.free
 
-    def counted(self, rows: np.ndarray, history: History) -> np.ndarray:
+    def counted(self, rows: Ints, history: History) -> Flags:
         """(p,) marks the contacts that count on this rank."""
         return self.own[rows]
 
-    def places(self, code: np.ndarray, history: History) -> np.ndarray:
+    def places(self, code: Ints, history: History) -> Ints:
         """Rows of the contacts known by codes (p,): the vertices themselves."""
         return code
 
-    def nearest(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
+    def nearest(self, x: Reals, t: float, history: History) -> Reals:
         """(n,) gap (m) of each vertex."""
         return self.obstacle.gap(x, t) - self.offset
 
-    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def least(self, vertex: Ints, weight: Reals, values: Array) -> Reals:
         """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""
         least = np.full(len(self.free), np.inf)
         np.minimum.at(least, vertex[:, 0], values)
@@ -83,21 +82,21 @@ class SelfContact:
     its rank's own."""
 
     layers: Layers
-    gather: Callable[[np.ndarray], np.ndarray]
-    here: np.ndarray
-    free: np.ndarray
-    own: np.ndarray
-    _last: tuple[Candidates, np.ndarray, Closest] | None = field(default=None, repr=False)
+    gather: Callable[[Reals], Reals]
+    here: Ints
+    free: Flags
+    own: Flags
+    _last: tuple[Candidates, Reals, Closest] | None = field(default=None, repr=False)
 
     @property
     def friction(self) -> float:
         return self.layers.friction
 
-    def restrict(self, forces: np.ndarray) -> np.ndarray:
+    def restrict(self, forces: Reals) -> Reals:
         """(local vertices, 3) of the forces on all vertices (n, 3)."""
         return forces[self.here]
 
-    def renewed(self, x: np.ndarray, history: History, k: int) -> History:
+    def renewed(self, x: Reals, history: History, k: int) -> History:
         """The history, in which this partner's part is k, with the candidates at positions x (n, 3)."""
         old = history.candidates
         if self.layers.valid(old, x):
@@ -114,11 +113,11 @@ class SelfContact:
             part[k] = rows
         return renewed
 
-    def gaps(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
+    def gaps(self, x: Reals, t: float, history: History) -> Reals:
         """(c,) m; infinite for edges that are not closest inside both."""
         return self._closest(history.candidates, x).distance - history.candidates.min_distance
 
-    def geometry(self, rows: np.ndarray, x: np.ndarray, t: float, history: History) -> Geometry:
+    def geometry(self, rows: Ints, x: Reals, t: float, history: History) -> Geometry:
         """That of some contacts, whose gaps are finite."""
         vertex = history.candidates.vertex[rows]
         c = self._closest(history.candidates, x)[rows]
@@ -127,39 +126,37 @@ class SelfContact:
             c.distance - history.candidates.min_distance[rows], normal, curvature, vertex, c.weight
         )
 
-    def _closest(self, candidates: Candidates, x: np.ndarray) -> Closest:
+    def _closest(self, candidates: Candidates, x: Reals) -> Closest:
         """As `closest`, which is asked for again and again at the same positions."""
         if self._last is None or self._last[0] is not candidates or not np.array_equal(self._last[1], x):
             self._last = candidates, x.copy(), closest(candidates, x)
         return self._last[2]
 
-    def moved(
-        self, rows: np.ndarray, weight: np.ndarray, x: np.ndarray, t: float, history: History
-    ) -> np.ndarray:
+    def moved(self, rows: Ints, weight: Reals, x: Reals, t: float, history: History) -> Reals:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         vertex = history.candidates.vertex[rows]
         return np.einsum("ps,psi->pi", weight, x[vertex] - history.layers[vertex])
 
-    def movable(self, history: History) -> np.ndarray:
+    def movable(self, history: History) -> Flags:
         """(c,) marks the contacts that have unknowns."""
         return self.free[history.candidates.vertex].any(axis=1)
 
-    def counted(self, rows: np.ndarray, history: History) -> np.ndarray:
+    def counted(self, rows: Ints, history: History) -> Flags:
         """(p,) marks the contacts that count on this rank."""
         return self.own[history.candidates.vertex[rows, 0]]
 
-    def places(self, code: np.ndarray, history: History) -> np.ndarray:
+    def places(self, code: Ints, history: History) -> Ints:
         """Rows of the contacts known by codes (p,), which are among the candidates."""
         return np.searchsorted(history.candidates.code, code)
 
-    def nearest(self, x: np.ndarray, t: float, history: History) -> np.ndarray:
+    def nearest(self, x: Reals, t: float, history: History) -> Reals:
         """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""
         gap = self.gaps(x, t, history)
         least = np.full(len(self.free), BAND * self.layers.thickness)
         np.minimum.at(least, history.candidates.vertex, gap[:, None])
         return least[self.here]
 
-    def least(self, vertex: np.ndarray, weight: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def least(self, vertex: Ints, weight: Reals, values: Array) -> Reals:
         """(local vertices,) the least of the values (p,) of the contacts that a vertex carries a share of, infinite
         without any."""
         least, carries = np.full(len(self.free), np.inf), weight != 0.0

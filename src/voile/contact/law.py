@@ -10,13 +10,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from voile import _friction
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 
 OPEN, STICK, SLIP = 0, 1, 2
 SMALL = 1e-6
 
 
-def check_problem(W: Any, q: Any, mu: Any) -> tuple[sp.csr_matrix, np.ndarray, np.ndarray]:
+def check_problem(W: Any, q: Any, mu: Any) -> tuple[sp.csr_matrix, Reals, Reals]:
     """W (3c, 3c) as CSR, q (3c,) and mu (c,) as arrays of doubles; InputError where they are none of a problem."""
     q, mu = vector("q", q), vector("mu", mu)
     c = len(mu)
@@ -36,7 +37,7 @@ def check_problem(W: Any, q: Any, mu: Any) -> tuple[sp.csr_matrix, np.ndarray, n
     return matrix, q, mu
 
 
-def vector(name: str, values: Any) -> np.ndarray:
+def vector(name: str, values: Any) -> Reals:
     """One-dimensional finite array of doubles; InputError names what it is not."""
     try:
         array = np.ascontiguousarray(values, dtype=float)
@@ -49,7 +50,7 @@ def vector(name: str, values: Any) -> np.ndarray:
     return array
 
 
-def project_on_cone(s: np.ndarray, mu: np.ndarray) -> np.ndarray:
+def project_on_cone(s: Reals, mu: Reals) -> Reals:
     """(c, 3) Euclidean projection of the rows of s on the cones |s_T| <= mu s_N, mu (c,)."""
     normal, size = s[:, 0], np.hypot(s[:, 1], s[:, 2])
     foot = (normal + mu * size) / (1.0 + mu * mu)  # normal part of the foot on the cone's surface
@@ -59,9 +60,7 @@ def project_on_cone(s: np.ndarray, mu: np.ndarray) -> np.ndarray:
     return np.where((size <= mu * normal)[:, None], s, outside)
 
 
-def natural_map(
-    r: np.ndarray, u: np.ndarray, mu: np.ndarray, rho: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def natural_map(r: Reals, u: Reals, mu: Reals, rho: float) -> tuple[Reals, Reals, Reals, Ints]:
     """The laws as F(r, u) = 0 in the form of Alart & Curnier 1991: F (c, 3), its generalised derivatives A = dF/dr and
     B = dF/du (c, 3, 3), and states (c,): OPEN, STICK or SLIP.
 
@@ -93,7 +92,7 @@ def friction_error(W: Any, q: Any, mu: Any, r: Any) -> float:
     return miss / size if size > np.finfo(float).eps else miss
 
 
-def contact_states(W: Any, q: Any, mu: Any, r: np.ndarray) -> np.ndarray:
+def contact_states(W: Any, q: Any, mu: Any, r: Reals) -> Ints:
     """(c,) OPEN (no reaction), STICK (no tangential velocity) or SLIP of a solution r; SMALL relative to the largest
     reaction and to the largest velocity without reactions counts as none."""
     W, q, mu = check_problem(W, q, mu)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from voile import _projective
+from voile.arrays import Ints, Reals
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import within
@@ -28,21 +29,21 @@ class _Linearised:
     measured; the reaction (c, 3) N; friction's coefficient, the natural map's rho (N/m), and whether it counts on this
     rank (c,)."""
 
-    partner: np.ndarray
-    row: np.ndarray
-    vertex: np.ndarray
-    weight: np.ndarray
-    gap: np.ndarray
-    length: np.ndarray
-    normal: np.ndarray
-    anchor: np.ndarray
-    start: np.ndarray
-    reaction: np.ndarray
-    friction: np.ndarray
-    rho: np.ndarray
-    counted: np.ndarray
+    partner: Ints
+    row: Ints
+    vertex: Ints
+    weight: Reals
+    gap: Reals
+    length: Reals
+    normal: Reals
+    anchor: Reals
+    start: Reals
+    reaction: Reals
+    friction: Reals
+    rho: Reals
+    counted: Ints
 
-    def each(self, rows: np.ndarray) -> "_Linearised":
+    def each(self, rows: Ints) -> "_Linearised":
         """Some of them."""
         return _Linearised(*(np.ascontiguousarray(getattr(self, f.name)[rows]) for f in fields(self)))
 
@@ -56,20 +57,20 @@ class LocalLaws:
         self.contact, self.t = contact, t
         self.count = len(self._gather(np.zeros(n)))
         # To each obstacle, and at which positions.
-        self.gaps: list[tuple[np.ndarray, np.ndarray]] = []
+        self.gaps: list[tuple[Reals, Reals]] = []
         self.found: _Linearised | None = None
 
-    def _gather(self, values: np.ndarray) -> np.ndarray:
+    def _gather(self, values: Reals) -> Reals:
         """(all, ...) of local vertices' values: where layers are in play contacts are those of all ranks."""
         return self.contact.itself.gather(values) if self.contact.itself else values
 
-    def linearise(self, x: np.ndarray, reach: np.ndarray, anchor: np.ndarray) -> None:
+    def linearise(self, x: Reals, reach: Reals, anchor: Reals) -> None:
         """Anew at x, with the history's reactions."""
         began = time.perf_counter()
         self._linearise(x, reach, anchor)
         self.contact.seconds += time.perf_counter() - began
 
-    def _linearise(self, x: np.ndarray, reach: np.ndarray, anchor: np.ndarray) -> None:
+    def _linearise(self, x: Reals, reach: Reals, anchor: Reals) -> None:
         parts = [
             self._layers(k, p, x, anchor) if isinstance(p, SelfContact) else self._obstacle(k, p, x, reach)
             for k, p in enumerate(self.contact.partners)
@@ -90,7 +91,7 @@ class LocalLaws:
             found.reaction,
         )
 
-    def _obstacle(self, k: int, partner: ObstacleContact, x: np.ndarray, reach: np.ndarray) -> _Linearised:
+    def _obstacle(self, k: int, partner: ObstacleContact, x: Reals, reach: Reals) -> _Linearised:
         history, t = self.contact.history, self.t
         if len(self.gaps) == k:
             self.gaps.append((partner.gaps(x, t, history), x))
@@ -112,7 +113,7 @@ class LocalLaws:
         vertex[:, 0], weight[:, 0] = rows, 1.0
         return self._made(k, rows, vertex, weight, table[:, 0], table[:, 1:4], x[rows], table[:, 4:])
 
-    def _layers(self, k: int, partner: SelfContact, x: np.ndarray, anchor: np.ndarray) -> _Linearised:
+    def _layers(self, k: int, partner: SelfContact, x: Reals, anchor: Reals) -> _Linearised:
         wide, wide_anchor = partner.gather(x), partner.gather(anchor)
         self.contact.history = partner.renewed(wide, self.contact.history, k)
         history = self.contact.history
@@ -148,7 +149,7 @@ class LocalLaws:
             rest[:, 7].astype(np.uint8),
         )
 
-    def _levels(self, found: _Linearised) -> np.ndarray:
+    def _levels(self, found: _Linearised) -> Ints:
         """(c,) 0 with obstacles, of layers one more than the contacts that they meet nearer to an obstacle."""
         layered = found.partner == len(self.contact.obstacles)
         level = np.where(layered, len(layered), 0)
@@ -165,7 +166,7 @@ class LocalLaws:
 
     # ---- an iteration ----
 
-    def sweep(self, x: np.ndarray, resistance: _projective.Stiffness, force: np.ndarray) -> np.ndarray:
+    def sweep(self, x: Reals, resistance: _projective.Stiffness, force: Reals) -> Reals:
         """New reactions at positions x (n, 3) m: with them vertices that `force` (unknowns,) N moves against the
         `resistance` obey the laws; (n, 3) N, what the shell's forces have changed by."""
         before, wide, way = self.force(), np.ascontiguousarray(self._gather(x)), np.zeros_like(force)
@@ -175,13 +176,13 @@ class LocalLaws:
                 break
         return self.force() - before
 
-    def force(self) -> np.ndarray:
+    def force(self) -> Reals:
         """(n, 3) reactions on the shell (N)."""
         total = np.zeros((self.count, 3))
         self.laws.spread(total)
         return self.contact.itself.restrict(total) if self.contact.itself else total
 
-    def mismatch(self, x: np.ndarray) -> float:
+    def mismatch(self, x: Reals) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's contacts, at positions x (n, 3)."""
         assert self.found is not None
         return self.laws.mismatch(np.ascontiguousarray(self._gather(x)), self.found.rho, self.found.counted)

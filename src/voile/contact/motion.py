@@ -6,8 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from voile.arrays import Ints, Reals
 
-def _zeros() -> np.ndarray:
+
+def _zeros() -> Reals:
     return np.zeros(3)
 
 
@@ -16,9 +18,9 @@ class Motion:
     """A displacement (3,) m, or (n, 3) of n points, and a rotation vector (3,) rad about `center` (3,) m, reached at
     t = 1 in proportion to t. Another law of motion overrides `share`, or `shift`, `turn` and `moves`."""
 
-    displacement: np.ndarray = field(default_factory=_zeros)
-    rotation: np.ndarray = field(default_factory=_zeros)
-    center: np.ndarray = field(default_factory=_zeros)
+    displacement: Reals = field(default_factory=_zeros)
+    rotation: Reals = field(default_factory=_zeros)
+    center: Reals = field(default_factory=_zeros)
 
     @property
     def moves(self) -> bool:
@@ -34,33 +36,33 @@ class Motion:
         """Of the motion, at time t."""
         return t
 
-    def shift(self, t: float) -> np.ndarray:
+    def shift(self, t: float) -> Reals:
         """Displacement of the centre at time t (m), shaped as `displacement`."""
         return self.share(t) * np.asarray(self.displacement)
 
-    def turn(self, t: float) -> np.ndarray:
+    def turn(self, t: float) -> Reals:
         """(3, 3) rotation at time t."""
         return Rotation.from_rotvec(self.share(t) * np.asarray(self.rotation, dtype=float)).as_matrix()
 
-    def place(self, points: np.ndarray, t: float) -> np.ndarray:
+    def place(self, points: Reals, t: float) -> Reals:
         """Where the body's points (n, 3) are at time t."""
         return (points - self.center) @ self.turn(t).T + self.center + self.shift(t)
 
-    def unplace(self, points: np.ndarray, t: float) -> np.ndarray:
+    def unplace(self, points: Reals, t: float) -> Reals:
         """The inverse of `place`."""
         return (points - self.center - self.shift(t)) @ self.turn(t) + self.center
 
-    def of(self, rows: np.ndarray) -> "Motion":
+    def of(self, rows: Ints) -> "Motion":
         """That of some of the points."""
         shift = np.asarray(self.displacement)
         return replace(self, displacement=shift[rows]) if shift.ndim == 2 else self
 
-    def between(self, points: np.ndarray, start: float, end: float) -> np.ndarray:
+    def between(self, points: Reals, start: float, end: float) -> Reals:
         """(n, 3) displacement (m) of the body's points, given as they are at t = 0, from time start to end."""
         turned = (points - self.center) @ (self.turn(end) - self.turn(start)).T
         return turned + (self.shift(end) - self.shift(start))
 
-    def matrix(self, t: float) -> np.ndarray:
+    def matrix(self, t: float) -> Reals:
         """(4, 4) `place` of (x, y, z, 1)."""
         total = np.eye(4)
         total[:3, :3] = self.turn(t)
@@ -87,8 +89,8 @@ class Spell(Motion):
 class Track(Motion):
     """Rows (k, 6) of displacement (m) and rotation vector (rad) at times (k,) s, linear between."""
 
-    times: np.ndarray
-    rows: np.ndarray
+    times: Reals
+    rows: Reals
 
     @property
     def moves(self) -> bool:
@@ -98,11 +100,11 @@ class Track(Motion):
     def ends(self) -> float:
         return float(self.times[-1])
 
-    def shift(self, t: float) -> np.ndarray:
+    def shift(self, t: float) -> Reals:
         return self._at(t)[:3]
 
-    def turn(self, t: float) -> np.ndarray:
+    def turn(self, t: float) -> Reals:
         return Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
 
-    def _at(self, t: float) -> np.ndarray:
+    def _at(self, t: float) -> Reals:
         return np.array([np.interp(t, self.times, column) for column in self.rows.T])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from voile.arrays import Array, Flags, Ints, Reals
 from voile.contact.history import History, blank
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.obstacle import Obstacle
@@ -33,10 +34,10 @@ class NaturalMap:
     """
 
     obstacles: list[Obstacle]
-    offset: float | np.ndarray
+    offset: float | Reals
     stiffness: float
-    movable: np.ndarray
-    own: np.ndarray
+    movable: Flags
+    own: Flags
     touch: float
     itself: SelfContact | None = None
     inertia: float = 0.0  # N/m, that of a vertex over a step in time
@@ -94,7 +95,7 @@ class NaturalMap:
         own = [("itself", self.itself.friction)] if self.itself else []
         return [(o.name, o.friction) for o in self.obstacles] + own
 
-    def begin(self, x: np.ndarray, t: float) -> None:
+    def begin(self, x: Reals, t: float) -> None:
         """Measures slip from positions x (n, 3) at time t on. Friction starts off its bound: whether what
         slipped before now sticks is not left to round-off."""
         self.history.reference, self.history.time = x.copy(), t
@@ -102,7 +103,7 @@ class NaturalMap:
         if self.itself:
             self.history.layers = self.itself.gather(x).copy()
 
-    def rebound(self, x: np.ndarray, begin: float, end: float, way: np.ndarray, rest: float) -> None:
+    def rebound(self, x: Reals, begin: float, end: float, way: Reals, rest: float) -> None:
         """Restitution over a step that has begun at positions x (n, 3): vertices whose way (n, 3) without forces leads
         into an obstacle by `end` leave it with the coefficient's share of the approach (Moreau's law at velocity
         level, in steps of implicit Euler). No impact is an approach (m) within `rest`."""
@@ -116,11 +117,11 @@ class NaturalMap:
                 level[impact] = (np.maximum(gap, 0.0) + obstacle.restitution * nearer)[impact]
             self.history.level[k] = level
 
-    def gap(self, k: int, x: np.ndarray, t: float, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+    def gap(self, k: int, x: Reals, t: float, rows: slice | Ints = slice(None)) -> Reals:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
         return self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
 
-    def pairs(self, x: np.ndarray, t: float, softness: float = 1.0, *, frozen: bool = False) -> list[Pairs]:
+    def pairs(self, x: Reals, t: float, softness: float = 1.0, *, frozen: bool = False) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction. softness: of rho; frozen: normals and weights of the
         history instead of x's."""
         began = time.perf_counter()
@@ -128,7 +129,7 @@ class NaturalMap:
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
-    def _near(self, k: int, x: np.ndarray, t: float, softness: float, frozen: bool) -> Pairs | None:
+    def _near(self, k: int, x: Reals, t: float, softness: float, frozen: bool) -> Pairs | None:
         partner, wide = self.partners[k], self.partners[k].gather(x)
         if isinstance(partner, SelfContact):
             self.history = partner.renewed(wide, self.history, k)
@@ -151,35 +152,35 @@ class NaturalMap:
         slip = within(normal, d)
         return Pairs(k, partner.friction, rho, rows, g, unit, gradient_norm, lam_n, trial, slip, weight)
 
-    def _bounds(self, p: Pairs, frozen: bool) -> np.ndarray:
+    def _bounds(self, p: Pairs, frozen: bool) -> Reals:
         if frozen:
             return self.history.tresca[p.index][p.row]
         return p.friction * p.gradient_norm * np.maximum(p.lam_n, 0.0)
 
-    def project(self, p: Pairs, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, p: Pairs, frozen: bool = False) -> tuple[Reals, Reals]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
         size = np.linalg.norm(p.lam_t, axis=1)
         bound = self._bounds(p, frozen)
         share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
         return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
 
-    def guard(self, p: Pairs) -> np.ndarray:
+    def guard(self, p: Pairs) -> Reals:
         """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way: none
         where the laws hold."""
         if p.index < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(p.row)))
         return BARRIER * p.rho * barrier(p.gap, self.history.candidates.min_distance[p.row])
 
-    def slips(self, p: Pairs) -> np.ndarray:
+    def slips(self, p: Pairs) -> Flags:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
         beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
         return (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
 
-    def counted(self, p: Pairs) -> np.ndarray:
+    def counted(self, p: Pairs) -> Flags:
         """(p,) marks the pairs that count on this rank."""
         return self.partners[p.index].counted(p.row, self.history)
 
-    def collect(self, p: Pairs, spread: Callable[[np.ndarray], None], total: np.ndarray) -> None:
+    def collect(self, p: Pairs, spread: Callable[[Reals], None], total: Reals) -> None:
         """Adds the forces that `spread` adds to those on the partner's vertices to total (n, 3)."""
         partner = self.partners[p.index]
         forces = np.zeros((len(partner.free), 3))
@@ -188,16 +189,16 @@ class NaturalMap:
 
     # ---- what is reported ----
 
-    def nearest(self, k: int, x: np.ndarray, t: float) -> np.ndarray:
+    def nearest(self, k: int, x: Reals, t: float) -> Reals:
         """(n,) gaps (m) of the vertices to partner k, where it is near."""
         return self.partners[k].nearest(self.partners[k].gather(x), t, self.history)
 
-    def least(self, p: Pairs, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def least(self, p: Pairs, chosen: Flags, values: Array) -> Reals:
         """(n,) the least of the values (p,) of the chosen (p,) among a vertex's pairs, infinite without any."""
         g = p.geometry
         return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
 
-    def mismatch(self, x: np.ndarray, t: float) -> float:
+    def mismatch(self, x: Reals, t: float) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
         pairs, s, total = self.pairs(x, t), self.history, 0.0
         held = [normal != 0.0 for normal in s.normal]

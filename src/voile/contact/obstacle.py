@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.contact.motion import Motion
 from voile.contact.surfaces import Triangles
 
@@ -52,15 +53,15 @@ class Obstacle:
 
     # ---- in its own frame ----
 
-    def derivatives(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         """Signed distance (n,), its gradient (n, 3) and Hessian (n, 3, 3) at points (n, 3) of the body's frame."""
         raise NotImplementedError
 
-    def distance(self, p: np.ndarray) -> np.ndarray:
+    def distance(self, p: Reals) -> Reals:
         """(n,) signed distance at points of the body's frame, positive outside."""
         return self.derivatives(p)[0]
 
-    def surface(self, bounds: np.ndarray) -> Triangles:
+    def surface(self, bounds: Reals) -> Triangles:
         """For pictures: points (n, 3) m on the surface at t = 0 and triangles (m, 3), normals outwards.
 
         bounds (2, 3) m: lowest and highest corner of what must lie near the patch shown of an unbounded shape.
@@ -93,24 +94,20 @@ class Obstacle:
         """Time after which it stays as it is."""
         return self.motion.ends
 
-    def way(
-        self, points: np.ndarray, began: float, moved: np.ndarray, ended: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def way(self, points: Reals, began: float, moved: Reals, ended: float) -> tuple[Reals, Reals]:
         """Begin and end (n, 3) of ways from `points`, at the time `began`, to `moved`, at `ended`, as the body sees
         them."""
         return self.motion.unplace(points, began), self.motion.unplace(moved, ended)
 
-    def derivatives_on_way(
-        self, points: np.ndarray, began: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def derivatives_on_way(self, points: Reals, began: float) -> tuple[Reals, Reals, Reals]:
         """`derivatives` at points of such ways."""
         return self.derivatives(points)
 
-    def gap(self, points: np.ndarray, t: float) -> np.ndarray:
+    def gap(self, points: Reals, t: float) -> Reals:
         """(n,) signed distance of points (n, 3)."""
         return self.distance(self.motion.unplace(points, t) if self.motion.moves else points)
 
-    def gap_derivatives(self, points: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def gap_derivatives(self, points: Reals, t: float) -> tuple[Reals, Reals, Reals]:
         """gap (n,), its gradient (n, 3) and its Hessian (n, 3, 3)."""
         if not self.motion.moves:
             return self.derivatives(points)
@@ -118,7 +115,7 @@ class Obstacle:
         turn = self.motion.turn(t)
         return gap, normal @ turn.T, turn @ curvature @ turn.T
 
-    def carry(self, points: np.ndarray, start: float, end: float) -> np.ndarray:
+    def carry(self, points: Reals, start: float, end: float) -> Reals:
         """(n, 3) where points fixed to the body go from time start to end."""
         if not self.motion.moves:
             return points

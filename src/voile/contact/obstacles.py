@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.contact.directions import NOWHERE, TINY, normalised, perpendicular, radial, unit
 from voile.contact.field import DistanceField, distance_field
 from voile.contact.frames import Frames, frame_files
@@ -32,8 +33,8 @@ class Plane(Obstacle, shape="plane"):
     """Half space below a point, `normal` pointing out of it."""
 
     flat = True
-    point: np.ndarray = key(vector("m"), "a point of it")
-    normal: np.ndarray = key(vector(nonzero=True), "outward direction, any length")
+    point: Reals = key(vector("m"), "a point of it")
+    normal: Reals = key(vector(nonzero=True), "outward direction, any length")
 
     def derivatives(self, p):
         n = normalised(self.normal)
@@ -54,7 +55,7 @@ class Plane(Obstacle, shape="plane"):
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere(Obstacle, shape="sphere"):
-    center: np.ndarray = key(vector("m"), "centre")
+    center: Reals = key(vector("m"), "centre")
     radius: float = key(Number("m", above=0), "radius")
 
     def derivatives(self, p):
@@ -73,8 +74,8 @@ class Sphere(Obstacle, shape="sphere"):
 class Cylinder(Obstacle, shape="cylinder"):
     """Unbounded along its axis."""
 
-    center: np.ndarray = key(vector("m"), "centre")
-    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    center: Reals = key(vector("m"), "centre")
+    axis: Reals = key(vector(nonzero=True), "direction of the axis, any length")
     radius: float = key(Number("m", above=0), "radius")
 
     def derivatives(self, p):
@@ -95,8 +96,8 @@ class Cylinder(Obstacle, shape="cylinder"):
 class Capsule(Obstacle, shape="capsule"):
     """All points within `radius` of the segment from a to b."""
 
-    a: np.ndarray = key(vector("m"), "one end of its centre line")
-    b: np.ndarray = key(vector("m"), "other end of its centre line")
+    a: Reals = key(vector("m"), "one end of its centre line")
+    b: Reals = key(vector("m"), "other end of its centre line")
     radius: float = key(Number("m", above=0), "radius")
 
     @classmethod
@@ -126,8 +127,8 @@ class Capsule(Obstacle, shape="capsule"):
 class Cone(Obstacle, shape="cone"):
     """Solid, unbounded from its apex along its axis."""
 
-    apex: np.ndarray = key(vector("m"), "apex")
-    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    apex: Reals = key(vector("m"), "apex")
+    axis: Reals = key(vector(nonzero=True), "direction of the axis, any length")
     half_angle: float = key(Number("rad", above=0, below=pi / 2), "angle between axis and surface")
 
     def derivatives(self, p):
@@ -156,8 +157,8 @@ class Cone(Obstacle, shape="cone"):
 class Torus(Obstacle, shape="torus"):
     """All points within `tube` of a circle of `radius` about the axis."""
 
-    center: np.ndarray = key(vector("m"), "centre")
-    axis: np.ndarray = key(vector(nonzero=True), "direction of the axis, any length")
+    center: Reals = key(vector("m"), "centre")
+    axis: Reals = key(vector(nonzero=True), "direction of the axis, any length")
     radius: float = key(Number("m", above=0), "of its centre line")
     tube: float = key(Number("m", above=0), "radius of the tube, below radius")
 
@@ -186,8 +187,8 @@ class Torus(Obstacle, shape="torus"):
 
 @dataclass(frozen=True, kw_only=True)
 class Ellipsoid(Obstacle, shape="ellipsoid"):
-    center: np.ndarray = key(vector("m"), "centre")
-    radii: np.ndarray = key(vector("m", above=0), "half axes along x, y, z")
+    center: Reals = key(vector("m"), "centre")
+    radii: Reals = key(vector("m", above=0), "half axes along x, y, z")
 
     @classmethod
     def check(cls, table):
@@ -212,7 +213,7 @@ class Ellipsoid(Obstacle, shape="ellipsoid"):
         return self.center + self.radii * points, triangles
 
 
-def _ellipsoid_foot(p: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def _ellipsoid_foot(p: Reals, radii: Reals) -> Reals:
     """(n, 3) closest points of an ellipsoid to points of the first octant (Eberly 2013): x_i = r_i^2 p_i / (t + r_i^2)
     with the largest root t of sum (r_i p_i / (t + r_i^2))^2 = 1, bracketed and bisected in s = t + min r_i^2, which
     keeps its digits near the centre."""
@@ -234,8 +235,8 @@ def _ellipsoid_foot(p: np.ndarray, radii: np.ndarray) -> np.ndarray:
 class Box(Obstacle, shape="box"):
     """Edges along x, y, z; outside, surfaces at a distance are rounded at the edges."""
 
-    center: np.ndarray = key(vector("m"), "centre")
-    sizes: np.ndarray = key(vector("m", above=0), "half edges along x, y, z")
+    center: Reals = key(vector("m"), "centre")
+    sizes: Reals = key(vector("m", above=0), "half edges along x, y, z")
 
     def derivatives(self, p):
         d = p - self.center
@@ -361,8 +362,8 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     @classmethod
     def around(
         cls,
-        points: np.ndarray,
-        triangles: np.ndarray,
+        points: Reals,
+        triangles: Ints,
         resolution: float | None = None,
         source: str = "mesh",
         **common: Any,

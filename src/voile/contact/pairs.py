@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 FREE, STICK, SLIP = 0, 1, 2
 PENALTY = 1e5  # times rho: stiffness by which the equations eliminate the reactions; refinement leaves no trace of it
 
@@ -14,11 +16,11 @@ class Geometry:
     distances are exact), and its Hessian (p, 3s, 3s) 1/m over the s vertices of each contact; those `vertex` (p, s) and
     their weights (p, s) in the relative position: 1 on an obstacle, which has one vertex."""
 
-    gap: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
-    vertex: np.ndarray
-    weight: np.ndarray
+    gap: Reals
+    gradient: Reals
+    curvature: Reals
+    vertex: Ints
+    weight: Reals
 
 
 @dataclass
@@ -32,76 +34,76 @@ class Pairs:
     index: int
     friction: float
     rho: float
-    row: np.ndarray
+    row: Ints
     geometry: Geometry
-    unit: np.ndarray
-    gradient_norm: np.ndarray
-    lam_n: np.ndarray
-    lam_t: np.ndarray
-    slip: np.ndarray
-    slip_weight: np.ndarray
+    unit: Reals
+    gradient_norm: Reals
+    lam_n: Reals
+    lam_t: Reals
+    slip: Reals
+    slip_weight: Reals
 
     @property
-    def gap(self) -> np.ndarray:
+    def gap(self) -> Reals:
         return self.geometry.gap
 
     @property
-    def gradient(self) -> np.ndarray:
+    def gradient(self) -> Reals:
         return self.geometry.gradient
 
     @property
-    def curvature(self) -> np.ndarray:
+    def curvature(self) -> Reals:
         return self.geometry.curvature
 
     @property
-    def vertex(self) -> np.ndarray:
+    def vertex(self) -> Ints:
         """(p,) the vertex itself; of a contact of several, the first."""
         return self.geometry.vertex[:, 0]
 
     @property
-    def stencil(self) -> np.ndarray:
+    def stencil(self) -> Ints:
         """The vertices that the reactions act on: (p,) local ones on an obstacle, else (p, s) of all vertices."""
         return self.vertex if self.geometry.vertex.shape[1] == 1 else self.geometry.vertex
 
-    def spread(self, normal: np.ndarray, tangential: np.ndarray, total: np.ndarray) -> None:
+    def spread(self, normal: Reals, tangential: Reals, total: Reals) -> None:
         """Adds reactions, normal (p,) along the gradient and tangential (p, 3), to the vertices' forces (n, 3)."""
         g = self.geometry
         force = (g.weight * normal[:, None])[:, :, None] * g.gradient[:, None]
         np.add.at(total, g.vertex, force + self.slip_weight[:, :, None] * tangential[:, None])
 
-    def motion(self, dx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def motion(self, dx: Reals) -> tuple[Reals, Reals]:
         """Of displacements (n, 3): the gap's change (p,) and the relative motion (p, 3), to first order."""
         g = self.geometry
         relative = np.einsum("ps,psi->pi", g.weight, dx[g.vertex])
         return dot(g.gradient, relative), np.einsum("ps,psi->pi", self.slip_weight, dx[g.vertex])
 
-    def over_vertices(self, block: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def over_vertices(self, block: Reals, weight: Reals) -> Reals:
         """(p, 3s, 3s) what blocks (p, 3, 3) of the relative position are over the vertices."""
         p, s = weight.shape
         return np.einsum("ps,pt,pij->psitj", weight, weight, block).reshape(p, 3 * s, 3 * s)
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot(a: Reals, b: Reals) -> Reals:
     """(p,) scalar products of rows."""
     return np.einsum("pi,pi->p", a, b)
 
 
-def outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def outer(a: Reals, b: Reals) -> Reals:
     """(p, 3, 3) products a b^T of rows."""
     return a[:, :, None] * b[:, None, :]
 
 
-def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def times(a: Reals, b: Reals) -> Reals:
     """(p, 3) products of matrices (p, 3, 3) and rows (p, 3)."""
     return np.einsum("pij,pj->pi", a, b)
 
 
-def within(normal: np.ndarray, v: np.ndarray) -> np.ndarray:
+def within(normal: Reals, v: Reals) -> Reals:
     """(p, 3) parts of rows in the planes of unit normals."""
     return v - dot(normal, v)[:, None] * normal
 
 
-def margin(normal: np.ndarray, tangential: np.ndarray, friction: float | np.ndarray) -> np.ndarray:
+def margin(normal: Reals, tangential: Reals, friction: float | Reals) -> Reals:
     """(p,) share of friction's bound that reactions, normal (p,) and tangential (p, 3) N, leave: 1 without any, 0
     where it slips, as all active contacts without friction do."""
     bound, size = friction * normal, np.linalg.norm(tangential, axis=1)
@@ -110,7 +112,7 @@ def margin(normal: np.ndarray, tangential: np.ndarray, friction: float | np.ndar
     return np.where(normal > 0.0, left, 1.0)
 
 
-def barrier(gap: np.ndarray, thickness: float | np.ndarray) -> np.ndarray:
+def barrier(gap: Reals, thickness: float | Reals) -> Reals:
     """(3, p) potential (m^2), push (m) and stiffness, each times N/m, that keep layers from meeting: of the gap (p,)
     between surfaces `thickness` (m, one or (p,)) from it, b = -gap^2 ln(1 + gap / thickness) where gap < 0 (Li et al.
     2020, IPC), to third order nothing at gap = 0."""

@@ -2,15 +2,16 @@
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.contact.directions import normalised, perpendicular
 
 AROUND = 96  # points around an axis; half as many on a meridian of a sphere
 MARGIN = 0.15  # of the bounds' diagonal: how far patches of unbounded shapes reach beyond the bounds
 
-Triangles = tuple[np.ndarray, np.ndarray]  # points (n, 3) m and triangles (m, 3)
+Triangles = tuple[Reals, Ints]  # points (n, 3) m and triangles (m, 3)
 
 
-def stretch(origin: np.ndarray, axis: np.ndarray, bounds: np.ndarray) -> tuple[float, float]:
+def stretch(origin: Reals, axis: Reals, bounds: Reals) -> tuple[float, float]:
     """From where to where the bounds, with a margin, reach along a unit axis through origin (m)."""
     low, high = bounds
     corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
@@ -25,7 +26,7 @@ def unit_sphere() -> Triangles:
     return revolve(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.cos(t), np.sin(t))
 
 
-def revolve(origin: np.ndarray, axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> Triangles:
+def revolve(origin: Reals, axis: Reals, radius: Reals, height: Reals) -> Triangles:
     """The surface swept by a profile: distances radius (k,) from the axis at height (k,) along it from origin. Outside
     is on the right of the profile's direction, seen with the axis up and the profile on its right."""
     a = normalised(axis)

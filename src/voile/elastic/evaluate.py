@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse
 
 from voile import _kernels
+from voile.arrays import Ints, Reals
 from voile.elastic.models import model_name
 from voile.errors import InputError
 from voile.mesh.topology import Topology, build_topology
@@ -18,32 +19,32 @@ class Evaluation:
     energy: float
     stretching_energy: float
     bending_energy: float
-    gradient: np.ndarray  # (n, 3), N
-    edge_gradient: np.ndarray  # (edges,), N m per radian
-    edges: np.ndarray  # (edges, 2)
+    gradient: Reals  # (n, 3), N
+    edge_gradient: Reals  # (edges,), N m per radian
+    edges: Ints  # (edges, 2)
     hessian: scipy.sparse.csr_matrix | None = None
     """(3n + edges) square; unknown 3*vertex + axis, then edges"""
     mixed: scipy.sparse.csr_matrix | None = None
     """d2E/dx dX, (3n + edges, 3n): rest coordinates in the columns"""
-    parameters: dict[str, np.ndarray] = field(default_factory=dict)
+    parameters: dict[str, Reals] = field(default_factory=dict)
     """dE/dp per triangle (m,) for p = thickness, young, poisson"""
     mixed_parameters: dict[str, scipy.sparse.csr_matrix] = field(default_factory=dict)
     """d2E/dx dp, (3n + edges, m)"""
 
 
 def evaluate(
-    rest: np.ndarray,
-    current: np.ndarray,
-    triangles: np.ndarray,
+    rest: Reals,
+    current: Reals,
+    triangles: Ints,
     *,
-    thickness: float | np.ndarray,
-    young: float | np.ndarray,
-    poisson: float | np.ndarray,
+    thickness: float | Reals,
+    young: float | Reals,
+    poisson: float | Reals,
     model: str = "koiter",
     bending: str = "tan",
     material: str = "stvk",
-    weave: np.ndarray | None = None,
-    edge_angles: np.ndarray | None = None,
+    weave: Reals | None = None,
+    edge_angles: Reals | None = None,
     hessian: bool | str = False,
     mixed: bool = False,
 ) -> Evaluation:
@@ -97,7 +98,7 @@ def evaluate(
     return result
 
 
-def _points(name: str, points: np.ndarray) -> np.ndarray:
+def _points(name: str, points: Reals) -> Reals:
     points = np.array(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{name} has shape {points.shape}; (n, 3) is expected")
@@ -121,7 +122,7 @@ def _check_manifold(topology: Topology) -> None:
             raise InputError(f"triangles: the edge between vertices {i} and {j} has {what}")
 
 
-def _fabric(count: int, thickness, young, poisson) -> list[np.ndarray]:
+def _fabric(count: int, thickness, young, poisson) -> list[Reals]:
     values = []
     for name, value, low, high in (
         ("thickness", thickness, 0.0, np.inf),
@@ -137,7 +138,7 @@ def _fabric(count: int, thickness, young, poisson) -> list[np.ndarray]:
     return values
 
 
-def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, kind: str) -> scipy.sparse.csr_matrix:
+def _hessian(kernel: _kernels.Elastic, u: Reals, phi: Reals, kind: str) -> scipy.sparse.csr_matrix:
     """The Hessian in all degrees of freedom: the assembly of the solver with nothing eliminated."""
     size = u.size + len(phi)
     identity = np.arange(size + 1, dtype=np.int32)
@@ -149,9 +150,7 @@ def _hessian(kernel: _kernels.Elastic, u: np.ndarray, phi: np.ndarray, kind: str
     return scipy.sparse.csr_matrix((values, column, start), shape=(size, size))
 
 
-def _jacobian(
-    values: np.ndarray, corners: np.ndarray, triangles: np.ndarray, topology: Topology, columns: int
-):
+def _jacobian(values: Reals, corners: Ints, triangles: Ints, topology: Topology, columns: int):
     """Per-triangle dq/dx (m, 6, 21) as a sparse (6m, columns) matrix; `corners` numbers the vertices."""
     m, vertices = len(triangles), int(corners.max()) + 1
     other = corners.ravel()[np.maximum(topology.across, 0)]  # without a neighbour the values are zero

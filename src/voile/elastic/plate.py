@@ -5,18 +5,19 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.sparse.linalg import splu
 
+from voile.arrays import Flags, Ints, Reals
 from voile.elastic.evaluate import evaluate
 
 DIRECTIONS = 6  # of 180 degrees
 
 
 def plate_stiffness(
-    points: np.ndarray,
-    triangles: np.ndarray,
+    points: Reals,
+    triangles: Ints,
     *,
-    thickness: np.ndarray,
-    young: np.ndarray,
-    poisson: np.ndarray,
+    thickness: Reals,
+    young: Reals,
+    poisson: Reals,
     model: Mapping[str, str],
 ) -> tuple[float, float]:
     """Least and largest energy of a flat mesh (n, 3), z = 0, bent to cylinders along several directions, over that of
@@ -45,7 +46,7 @@ def plate_stiffness(
     return min(ratios), max(ratios)
 
 
-def _inside(triangles: np.ndarray, count: int) -> np.ndarray:
+def _inside(triangles: Ints, count: int) -> Flags:
     """(n,) marks the vertices that no edge joins to the border."""
     sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges, times = np.unique(sides, axis=0, return_counts=True)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.mesh import Rest, Surface, texture_direction
 
@@ -22,11 +23,11 @@ class Woven:
     young_weft that of the warp, shear by Huber's rule, bending that of the thickness.
     """
 
-    young_weft: np.ndarray
-    shear: np.ndarray
-    bending_warp: np.ndarray
-    bending_weft: np.ndarray
-    bending_twist: np.ndarray
+    young_weft: Reals
+    shear: Reals
+    bending_warp: Reals
+    bending_weft: Reals
+    bending_twist: Reals
 
 
 def isotropic(count: int) -> Woven:
@@ -35,15 +36,15 @@ def isotropic(count: int) -> Woven:
 
 
 def weave_rows(
-    rest: np.ndarray,
-    triangles: np.ndarray,
-    warp: np.ndarray,
-    thickness: np.ndarray,
-    young: np.ndarray,
-    poisson: np.ndarray,
+    rest: Reals,
+    triangles: Ints,
+    warp: Reals,
+    thickness: Reals,
+    young: Reals,
+    poisson: Reals,
     *,
     woven: Woven,
-) -> np.ndarray:
+) -> Reals:
     """(m, 9) the kernels' weave of rest triangles (m, 3) of points (n, 3) m with the warp along vectors (m, 3), each
     projected on its triangle.
 
@@ -75,7 +76,7 @@ def weave_rows(
     return np.column_stack([c, weft, shear, own.astype(float), *bends])
 
 
-def warp_of(rest: Rest, surface: Surface, given: list[tuple[np.ndarray, Any, str]]) -> np.ndarray:
+def warp_of(rest: Rest, surface: Surface, given: list[tuple[Reals, Any, str]]) -> Reals:
     """(m, 3) warp directions on a rest shape: of triangles (m,), later ones over former ones, a direction (3,) or a
     texture coordinate, and the key that gives it."""
     warp, own = np.zeros((len(surface.triangles), 3)), np.zeros(len(surface.triangles), dtype=int)
@@ -90,13 +91,13 @@ def warp_of(rest: Rest, surface: Surface, given: list[tuple[np.ndarray, Any, str
     return warp
 
 
-def warp_directions(rest: np.ndarray, triangles: np.ndarray, weave: np.ndarray) -> np.ndarray:
+def warp_directions(rest: Reals, triangles: Ints, weave: Reals) -> Reals:
     """(m, 3) vectors along the warp of rest triangles (m, 3) with a weave (m, 9)."""
     edges = rest[triangles[:, 1:]] - rest[triangles[:, :1]]
     return np.einsum("ta,tai->ti", weave[:, :2], edges)
 
 
-def warp_components(rest: np.ndarray, triangles: np.ndarray, warp: np.ndarray) -> np.ndarray:
+def warp_components(rest: Reals, triangles: Ints, warp: Reals) -> Reals:
     """(m, 2) components of the warp's projection in the basis of the edges from the first corner, of unit length."""
     edges = rest[triangles[:, 1:]] - rest[triangles[:, :1]]
     metric = np.einsum("tai,tbi->tab", edges, edges)

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from mpi4py import MPI
 
+from voile.arrays import Reals
 from voile.problem.problem import Problem
 
 AREAS = 0.1, 10.0
@@ -18,7 +19,7 @@ class Design(Protocol):
 
     problem: Problem
 
-    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+    def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,), negative where turned over, and edges (m, 3) of local rest triangles over the first ones."""
 
 

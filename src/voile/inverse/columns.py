@@ -7,6 +7,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.solver.linear import factorisation_error, negative_pivots, set_defaults
 
 TRANSPOSED = 9  # MUMPS' ICNTL: 0 solves with the transposed matrix, 1 with the matrix
@@ -14,7 +15,7 @@ WORK_SPACE = "100"  # per cent, of MUMPS beyond its estimate: pivoting wants it
 SCALED = 1e-10  # eigenvalues of scaled products, over the largest: columns nearer to dependent count as such
 
 
-def dense(columns: np.ndarray, comm: MPI.Comm) -> PETSc.Mat:
+def dense(columns: Reals, comm: MPI.Comm) -> PETSc.Mat:
     """A dense matrix of columns, to be destroyed rather than left to Python."""
     matrix = PETSc.Mat().createDense(
         ((len(columns), PETSc.DECIDE), (PETSc.DECIDE, columns.shape[1])), comm=comm
@@ -25,7 +26,7 @@ def dense(columns: np.ndarray, comm: MPI.Comm) -> PETSc.Mat:
     return matrix
 
 
-def times(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
+def times(matrix: PETSc.Mat, columns: Reals) -> Reals:
     """matrix @ columns."""
     given = dense(columns, matrix.comm)
     product = matrix.matMult(given)
@@ -35,12 +36,12 @@ def times(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
     return out
 
 
-def products(left: np.ndarray, right: np.ndarray, comm: MPI.Comm) -> np.ndarray:
+def products(left: Reals, right: Reals, comm: MPI.Comm) -> Reals:
     """left^T right over all ranks."""
     return comm.allreduce(left.T @ right)
 
 
-def orthonormal(gram: np.ndarray) -> np.ndarray:
+def orthonormal(gram: Reals) -> Reals:
     """(p, q) combinations of p vectors with these products that are orthonormal, dependent ones left out."""
     size = np.sqrt(np.maximum(np.diag(gram), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
@@ -74,7 +75,7 @@ class Factor:
         """Negative eigenvalues of a symmetric matrix."""
         return negative_pivots(self.pc)
 
-    def solve(self, columns: np.ndarray, transposed: bool = False) -> np.ndarray:
+    def solve(self, columns: Reals, transposed: bool = False) -> Reals:
         """Solutions with the matrix factored last, or its transpose."""
         factor, out = self.pc.getFactorMatrix(), np.empty_like(columns)
         if self.pc.getFactorSolverType() == "mumps":

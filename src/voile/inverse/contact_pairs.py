@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.candidates import Layers, closest
 from voile.contact.contact import Contact
 from voile.contact.interfaces import ObstacleContact, SelfContact
@@ -23,41 +24,41 @@ class ContactPairs:
     index: int
     partner: ObstacleContact | SelfContact
     geometry: Geometry
-    code: np.ndarray
-    own: np.ndarray
+    code: Ints
+    own: Flags
 
     def __len__(self) -> int:
         return len(self.code)
 
     @property
-    def gap(self) -> np.ndarray:
+    def gap(self) -> Reals:
         return self.geometry.gap
 
     @property
-    def gradient_norm(self) -> np.ndarray:
+    def gradient_norm(self) -> Reals:
         """(c,) lengths of the gap's gradient."""
         return np.linalg.norm(self.geometry.gradient, axis=1)
 
     @property
-    def normal(self) -> np.ndarray:
+    def normal(self) -> Reals:
         """(c, 3) unit normals."""
         return self.geometry.gradient / self.gradient_norm[:, None]
 
-    def bent(self) -> np.ndarray:
+    def bent(self) -> Reals:
         """(c, 3s, 3s) the gap's Hessian over its gradient's length (1/m)."""
         return self.geometry.curvature / self.gradient_norm[:, None, None]
 
     @property
-    def stencil(self) -> np.ndarray:
+    def stencil(self) -> Ints:
         """The vertices that reactions act on: (c,) local ones on an obstacle, else (c, s) of all vertices."""
         vertex = self.geometry.vertex
         return vertex[:, 0] if vertex.shape[1] == 1 else vertex
 
-    def least(self, values: np.ndarray) -> np.ndarray:
+    def least(self, values: Reals) -> Reals:
         """(local vertices,) the least of the values (c,) of a vertex's contacts, infinite without any."""
         return self.partner.least(self.geometry.vertex, self.geometry.weight, values)
 
-    def along(self) -> np.ndarray:
+    def along(self) -> Reals:
         """(local vertices,) distance (m) along edges from the nearest contact between layers."""
         partner, vertex = self.partner, self.geometry.vertex[self.geometry.weight != 0.0]
         assert isinstance(partner, SelfContact)
@@ -67,33 +68,33 @@ class ContactPairs:
         links = sparse.csr_matrix((np.linalg.norm(x[j] - x[i], axis=1), (i, j)), shape=(len(x), len(x)))
         return dijkstra(links, directed=False, indices=np.unique(vertex), min_only=True)[partner.here]
 
-    def relative(self, field: np.ndarray) -> np.ndarray:
+    def relative(self, field: Reals) -> Reals:
         """(c, 3, ...) of a field (local vertices, 3, ...): its value at a vertex on an obstacle, its jump between
         layers."""
         wide = self.partner.gather(field)
         return np.einsum("cs,cs...->c...", self.geometry.weight, wide[self.geometry.vertex])
 
-    def spread(self, reaction: np.ndarray) -> np.ndarray:
+    def spread(self, reaction: Reals) -> Reals:
         """(local vertices, 3) forces of reactions (c, 3)."""
         total = np.zeros((len(self.partner.free), 3))
         forces = self.geometry.weight[:, :, None] * reaction[:, None]
         np.add.at(total, self.geometry.vertex, forces)
         return self.partner.restrict(total)
 
-    def over_vertices(self, block: np.ndarray) -> np.ndarray:
+    def over_vertices(self, block: Reals) -> Reals:
         """(c, 3s, 3s) what blocks (c, 3, 3) of `relative` are over the vertices."""
         weight = self.geometry.weight
         size = 3 * weight.shape[1]
         return np.einsum("cs,ct,cij->csitj", weight, weight, block).reshape(len(self), size, size)
 
 
-def find_contact_pairs(contact: Contact, x: np.ndarray, tolerance: float) -> list[ContactPairs]:
+def find_contact_pairs(contact: Contact, x: Reals, tolerance: float) -> list[ContactPairs]:
     """What is nearer than `tolerance` (m) to touching at x (local vertices, 3) m, one entry per partner."""
     found = [_on_obstacle(contact, k, x, tolerance) for k in range(len(contact.obstacles))]
     return [*found, _on_itself(contact, x, tolerance)] if contact.itself else found
 
 
-def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> ContactPairs:
+def _on_obstacle(contact: Contact, k: int, x: Reals, tolerance: float) -> ContactPairs:
     partner, history = contact.partners[k], contact.history
     assert isinstance(partner, ObstacleContact)
     near = np.flatnonzero((partner.gaps(x, 0.0, history) < tolerance) & partner.free)
@@ -102,7 +103,7 @@ def _on_obstacle(contact: Contact, k: int, x: np.ndarray, tolerance: float) -> C
     return ContactPairs(k, partner, geometry, near, partner.counted(near, history))
 
 
-def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> ContactPairs:
+def _on_itself(contact: Contact, x: Reals, tolerance: float) -> ContactPairs:
     """Of a vertex and triangles only where it is nearest: what surrounds that place holds nothing beside it. And of all
     pairs only as many as are independent."""
     partner = contact.itself
@@ -120,7 +121,7 @@ def _on_itself(contact: Contact, x: np.ndarray, tolerance: float) -> ContactPair
     return ContactPairs(index, partner, geometry, found.code[rows], partner.counted(rows, history))
 
 
-def _nearest(vertex: np.ndarray, weight: np.ndarray, distance: np.ndarray) -> np.ndarray:
+def _nearest(vertex: Ints, weight: Reals, distance: Reals) -> Flags:
     """(p,) of pairs of a vertex and a triangle (p, 4): none whose closest point another triangle of that vertex has,
     too, and comes nearer, or as near and before it."""
     best: dict[tuple[int, ...], tuple[float, int]] = {}
@@ -133,7 +134,7 @@ def _nearest(vertex: np.ndarray, weight: np.ndarray, distance: np.ndarray) -> np
     return np.array([best[key][1] == row for row, key in enumerate(mine)], dtype=bool)
 
 
-def _independent(vertex: np.ndarray, weight: np.ndarray, faces: int) -> np.ndarray:
+def _independent(vertex: Ints, weight: Reals, faces: int) -> Flags:
     """(p,) marks pairs (p, 4), the first `faces` of a vertex and a triangle, then edges, of which none follows from the
     others: a vertex leans on what does not lean on it, and edges on each other where no such pair joins them.
 
@@ -156,7 +157,7 @@ def _independent(vertex: np.ndarray, weight: np.ndarray, faces: int) -> np.ndarr
     return chosen
 
 
-def clearances(layers: Layers, x: np.ndarray, clearance: float) -> dict[int, float]:
+def clearances(layers: Layers, x: Reals, clearance: float) -> dict[int, float]:
     """By code, the distance (m) that pairs at x (all n vertices, 3) nearer than their thickness keep: `clearance` (m)
     less than they have."""
     found = layers.find(x, further=clearance)

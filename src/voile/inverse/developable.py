@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Ints, Reals
 from voile.errors import NotConverged
 from voile.inverse.flatten import FlatPanels, flatten, overlaps
 from voile.inverse.target import Target
@@ -38,7 +39,7 @@ class DevelopableRest:
     the shape that was set last.
     """
 
-    def __init__(self, target: Target, shell: Shell | None, exempt: np.ndarray | None = None):
+    def __init__(self, target: Target, shell: Shell | None, exempt: Ints | None = None):
         self.rest: RestShape = target.rest
         self.problem = problem = target.problem
         part = problem.part
@@ -74,7 +75,7 @@ class DevelopableRest:
 
     # ---- the constraints ----
 
-    def defects(self) -> np.ndarray:
+    def defects(self) -> Reals:
         """(own constraints,) 2 pi less the angles around a vertex (rad), of the present rest shape."""
         corners, angle, _ = self._angles()
         return 2.0 * np.pi - np.bincount(
@@ -85,7 +86,7 @@ class DevelopableRest:
         """Largest absolute angle defect (rad)."""
         return self.problem.comm.allreduce(float(np.abs(self.defects()).max(initial=0.0)), op=MPI.MAX)
 
-    def _angles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _angles(self) -> tuple[Ints, Reals, Reals]:
         """Vertices (m, 3) of the rest triangles' corners, angles there (m, 3), their gradients (m, 3, 3, 3) by the
         corners: angle k by corner j's axis."""
         part = self.problem.part
@@ -212,7 +213,7 @@ class DevelopableRest:
         out.axpy(-1.0, along)
         return out
 
-    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+    def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,) and edges (m, 3) of rest triangles over those of the target."""
         return self.rest.ratios()
 
@@ -232,14 +233,14 @@ class DevelopableRest:
         """w^T dR/dX along the constraints."""
         return self.cotangential(self.rest.pull(w))
 
-    def idle(self) -> np.ndarray:
+    def idle(self) -> Flags:
         """(own,) marks entries that are no design variables."""
         return self.rest.idle()
 
 
 def start_of_panels(
     target: Target, shell: Shell | None, z: PETSc.Vec, flat: FlatPanels | None
-) -> np.ndarray | None:
+) -> Reals | None:
     """(p, 2) m on rank 0: the panels of the developable shape nearest to the rest shape z, which hang nearer to the
     target than the target laid flat does; `flat` itself where there is none, or where its panels overlap. The shell has
     `flat` as rest shape; both on rank 0."""
@@ -260,7 +261,7 @@ def start_of_panels(
     return flat.coordinates if any(overlaps(nearer[each]) for each in panels.outlines) else nearer
 
 
-def _on_seams(shell: Shell) -> np.ndarray:
+def _on_seams(shell: Shell) -> Ints:
     """Vertices that have several in the rest shape."""
     pairs = np.column_stack([shell.triangles.ravel(), shell.rest_triangles.ravel()])
     return np.flatnonzero(np.bincount(np.unique(pairs, axis=0)[:, 0]) > 1)

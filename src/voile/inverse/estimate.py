@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.errors import InputError, NotConverged
 from voile.inverse.observation import Observation, UnknownRest
 
@@ -46,7 +47,7 @@ class Estimate:
     deviations: dict[str, float]
     misfit: float
     states: list[PETSc.Vec]
-    rest: np.ndarray | None
+    rest: Reals | None
     iterations: list[tuple[float, dict[str, float]]] = field(default_factory=list)
     forward_solves: int = 0
 
@@ -68,7 +69,7 @@ class Estimation:
         gives the rest shape of all others. Raises InputError for parameters that differ from part to part."""
         self.observations, self.names, self.accuracy = observations, names, accuracy
         self.unknown = unknown
-        self.rest: np.ndarray | None = None
+        self.rest: Reals | None = None
         starts = [[o.value(name) for name in names] for o in observations]
         self.start = np.log(np.array(starts[0]))
         self.count = sum(o.count for o in observations)
@@ -107,10 +108,10 @@ class Estimation:
                 return self._estimate(p, states, history)
         raise NotConverged(f"estimation: {MOST} iterations did not settle")
 
-    def _values(self, p: np.ndarray) -> dict[str, float]:
+    def _values(self, p: Reals) -> dict[str, float]:
         return dict(zip(self.names, np.exp(p).tolist(), strict=True))
 
-    def _simulate(self, p: np.ndarray) -> list[PETSc.Vec] | None:
+    def _simulate(self, p: Reals) -> list[PETSc.Vec] | None:
         """The equilibria with parameters exp(p); None where there is none, or no rest shape."""
         values, states = self._values(p), []
         if self.unknown:
@@ -134,24 +135,22 @@ class Estimation:
         )
 
     def _advance(
-        self, p: np.ndarray, gram: np.ndarray, slope: np.ndarray, misfit: float, damping: float
-    ) -> tuple[tuple[np.ndarray, list[PETSc.Vec]] | None, float]:
+        self, p: Reals, gram: Reals, slope: Reals, misfit: float, damping: float
+    ) -> tuple[tuple[Reals, list[PETSc.Vec]] | None, float]:
         """The first of ever more damped steps that decreases the misfit, and the damping of the next one."""
         while damping <= HARDEST:
             step = -np.linalg.solve(gram + damping * np.diag(np.diag(gram)), slope)
-            step *= min(1.0, FARTHEST / max(np.abs(step).max(), 1e-300))
+            step *= min(1.0, FARTHEST / max(float(np.abs(step).max()), 1e-300))
             there = self._simulate(p + step)
             if there is not None and (left := self._misfit(there)) < misfit:
-                gain = (misfit - left) / max(-2.0 * slope @ step - step @ gram @ step, 1e-300)
+                gain = (misfit - left) / max(float(-2.0 * slope @ step - step @ gram @ step), 1e-300)
                 damping *= 0.1 if gain > TRUSTED else 10.0 if gain < POOR else 1.0
                 return (p + step, there), damping
             damping *= 10.0
         self._simulate(p)
         return None, DAMPING
 
-    def _from_observed(
-        self, p: np.ndarray, states: list[PETSc.Vec]
-    ) -> tuple[np.ndarray, list[PETSc.Vec]] | None:
+    def _from_observed(self, p: Reals, states: list[PETSc.Vec]) -> tuple[Reals, list[PETSc.Vec]] | None:
         """Equilibria that simulations from the observed shapes find much nearer to them: a poor first guess may have
         led to another branch, which those that go on from the last ones never leave."""
         if all(o.obstacles for o in self.observations):
@@ -174,10 +173,10 @@ class Estimation:
         own = sum(float(e @ e) for e in self._missed(states))
         return self.observations[0].problem.comm.allreduce(own)
 
-    def _missed(self, states: list[PETSc.Vec]) -> list[np.ndarray]:
+    def _missed(self, states: list[PETSc.Vec]) -> list[Reals]:
         return [o.missed(y) for o, y in zip(self.observations, states, strict=True)]
 
-    def _normal_equations(self, p: np.ndarray, states: list[PETSc.Vec]) -> tuple[np.ndarray, np.ndarray]:
+    def _normal_equations(self, p: Reals, states: list[PETSc.Vec]) -> tuple[Reals, Reals]:
         """S^T S and S^T (x - x_o). Raises InputError where the data cannot determine the parameters."""
         s = self._by_tangents(p, states) if self.smooth else self._by_differences(p, states)
         add = self.observations[0].problem.comm.allreduce
@@ -185,10 +184,10 @@ class Estimation:
         self._check(gram, p)
         return gram, add(sum(part.T @ e for part, e in zip(s, self._missed(states), strict=True)))
 
-    def _by_tangents(self, p: np.ndarray, states: list[PETSc.Vec]) -> list[np.ndarray]:
+    def _by_tangents(self, p: Reals, states: list[PETSc.Vec]) -> list[Reals]:
         return [o.slopes(y, self._values(p)) for o, y in zip(self.observations, states, strict=True)]
 
-    def _by_differences(self, p: np.ndarray, states: list[PETSc.Vec]) -> list[np.ndarray]:
+    def _by_differences(self, p: Reals, states: list[PETSc.Vec]) -> list[Reals]:
         """Of each observation (own unknowns, k). Raises NotConverged where a simulation beside p has no end."""
         columns = []
         for step in DIFFERENCE * np.eye(len(p)):
@@ -199,7 +198,7 @@ class Estimation:
             columns.append([(b - a) / (2.0 * DIFFERENCE) for b, a in ends])
         return [np.stack(own, axis=1) for own in zip(*columns, strict=True)]
 
-    def _check(self, gram: np.ndarray, p: np.ndarray) -> None:
+    def _check(self, gram: Reals, p: Reals) -> None:
         """Raises InputError, naming them, where parameters leave no or the same trace."""
         extent = max(o.problem.size() for o in self.observations)
         size = np.sqrt(np.diag(gram))
@@ -218,7 +217,7 @@ class Estimation:
                 "them enters; estimate one and give the others, or observe under other loads (inverse.also)"
             )
 
-    def _estimate(self, p: np.ndarray, states: list[PETSc.Vec], history) -> Estimate:
+    def _estimate(self, p: Reals, states: list[PETSc.Vec], history) -> Estimate:
         gram, _ = self._normal_equations(p, states)
         variance = self._misfit(states) / max(self.count - len(p), 1)
         deviation = np.sqrt(variance * np.diag(np.linalg.inv(gram))) * np.exp(p)

@@ -12,6 +12,7 @@ import shapely
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from voile.arrays import Ints, Reals, sums
 from voile.errors import NotConverged
 from voile.inverse.panels import Panels
 from voile.mesh import boundary_loops, build_topology
@@ -29,8 +30,8 @@ class FlatPanels:
     of each triangle from the surface to the plane."""
 
     panels: Panels
-    coordinates: np.ndarray
-    stretches: np.ndarray
+    coordinates: Reals
+    stretches: Reals
 
 
 def flatten(panels: Panels) -> FlatPanels:
@@ -43,7 +44,7 @@ def flatten(panels: Panels) -> FlatPanels:
     return FlatPanels(panels, flat, distortion(panels.points[panels.vertex], panels.corners, flat))
 
 
-def distortion(points: np.ndarray, triangles: np.ndarray, flat: np.ndarray) -> np.ndarray:
+def distortion(points: Reals, triangles: Ints, flat: Reals) -> Reals:
     """Stretches s1 >= s2 (m, 2), 1 for an isometry, of the map from points (n, 3) to flat (n, 2), both in metres.
 
     s2 is negative where a triangle is flipped.
@@ -53,14 +54,14 @@ def distortion(points: np.ndarray, triangles: np.ndarray, flat: np.ndarray) -> n
     return s
 
 
-def overlaps(outline: np.ndarray) -> bool:
+def overlaps(outline: Reals) -> bool:
     """Whether a panel of this outline (b, 2), counter-clockwise, lies on itself; sides that just touch do not."""
     one, two = outline, np.roll(outline, -1, axis=0)
     area = 0.5 * np.sum(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
     return bool(abs(shapely.make_valid(shapely.Polygon(outline)).area - area) > 1e-6 * area)
 
 
-def flatten_disc(points: np.ndarray, triangles: np.ndarray, name: str = "panel") -> np.ndarray:
+def flatten_disc(points: Reals, triangles: Ints, name: str = "panel") -> Reals:
     """Plane coordinates (n, 2) of a disc of triangles (m, 3), points (n, 3) in metres; raises NotConverged."""
     gradient, _ = _gradients(points, triangles)
     return relax(_start(points, triangles, gradient), triangles, points[triangles], name)
@@ -96,7 +97,7 @@ def relax(x: np.ndarray, triangles: np.ndarray, shapes: np.ndarray, name: str) -
     )
 
 
-def _gradients(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _gradients(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
     """Gradients (m, 3, 2) of the corners' shape functions in an orthonormal frame of each triangle, and areas (m,):
     the map's Jacobian is the sum over corners of position times gradient."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
@@ -109,7 +110,7 @@ def _gradients(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     return np.stack([second, third, fourth], axis=1), 0.5 * base * height
 
 
-def _start(points: np.ndarray, triangles: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def _start(points: Reals, triangles: Ints, gradient: Reals) -> Reals:
     """The least-squares conformal map at true mean scale; where it flips a triangle, Tutte's, which never does."""
     import igl
 
@@ -124,7 +125,7 @@ def _start(points: np.ndarray, triangles: np.ndarray, gradient: np.ndarray) -> n
     return x / np.sqrt(np.mean(np.linalg.det(jacobian)))
 
 
-def _tutte(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.ndarray:
+def _tutte(points: Reals, triangles: Ints, loop: Ints) -> Reals:
     """Tutte's embedding (Proc. London Math. Soc. 1963): the border on a circle, the others amid their neighbours."""
     edges = build_topology(triangles).edges
     n = len(points)
@@ -143,7 +144,7 @@ def _tutte(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.nd
     return x
 
 
-def _signed_svd(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _signed_svd(jacobian: Reals) -> tuple[Reals, Reals, Reals]:
     """U, s, V of (m, 2, 2) = U diag(s) V^T with rotations U and V; s1 >= |s2|, s2 negative where flipped.
 
     In closed form: a matrix is a turned scaling plus a turned reflection (Blinn, IEEE CG&A 16(2), 1996).
@@ -155,7 +156,7 @@ def _signed_svd(jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return _turn(0.5 * (of_mirrored + of_scaled)), s, _turn(0.5 * (of_mirrored - of_scaled))
 
 
-def _turn(angle: np.ndarray) -> np.ndarray:
+def _turn(angle: Reals) -> Reals:
     """(m, 2, 2) rotations by angles (m,) in radians."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
@@ -164,7 +165,7 @@ def _turn(angle: np.ndarray) -> np.ndarray:
 class _Energy:
     """The symmetric Dirichlet energy of a disc's plane coordinates x (n, 2), in m^2."""
 
-    def __init__(self, triangles: np.ndarray, gradient: np.ndarray, area: np.ndarray, count: int):
+    def __init__(self, triangles: Ints, gradient: Reals, area: Reals, count: int):
         self.triangles, self.gradient, self.area = triangles, gradient, area
         rows = 2 * triangles[:, :, None] + np.arange(2)
         self.unknown = rows.reshape(-1, 6)  # of corner and axis
@@ -175,10 +176,10 @@ class _Energy:
         self.pattern = (places % size, ends)
         self.diagonal = np.searchsorted(places, (size + 1) * np.arange(size))
 
-    def jacobian(self, x: np.ndarray) -> np.ndarray:
+    def jacobian(self, x: Reals) -> Reals:
         return np.einsum("tij,tik->tjk", x[self.triangles], self.gradient)
 
-    def value(self, x: np.ndarray) -> float:
+    def value(self, x: Reals) -> float:
         """Infinite where a triangle is flipped."""
         j = self.jacobian(x)
         det = np.linalg.det(j)
@@ -187,7 +188,7 @@ class _Energy:
         square = np.einsum("tij,tij->t", j, j)
         return float(self.area @ (square + square / det**2 - 4))
 
-    def step(self, x: np.ndarray, exact: bool) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, x: Reals, exact: bool) -> tuple[Reals, Reals]:
         """Newton direction and negative gradient (n, 2), with all eigenvalues of triangles at least 0 unless exact."""
         u, s, v = _signed_svd(self.jacobian(x))
         one, two = s.T
@@ -207,16 +208,16 @@ class _Energy:
         within = np.einsum("tjb,tcj->tcb", v, self.gradient)
         along = np.einsum("tia,kab,tcb->tkci", u, modes, within, optimize=True).reshape(-1, 4, 6)
         local = along.transpose(0, 2, 1) @ ((eigenvalues * self.area[:, None])[:, :, None] * along)
-        values = np.bincount(self.entry.ravel(), weights=local.ravel())
+        values = sums(self.entry.ravel(), local.ravel())
         values[self.diagonal] += SHIFT * values[self.diagonal].mean()
         matrix = sparse.csc_matrix((values, *self.pattern))
         force = -np.einsum("tij,tcj,t->tci", stress, self.gradient, self.area).reshape(-1)
-        total = np.bincount(self.unknown.ravel(), weights=force)
+        total = sums(self.unknown.ravel(), force)
         options = {"SymmetricMode": True}
         solved = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve(total)
         return solved.reshape(-1, 2), total.reshape(-1, 2)
 
-    def longest(self, x: np.ndarray, direction: np.ndarray) -> float:
+    def longest(self, x: Reals, direction: Reals) -> float:
         """The step at which the first triangle would lose its area: smallest positive root of det(J + t dJ)."""
         j, d = self.jacobian(x), self.jacobian(direction)
         a, c = np.linalg.det(d), np.linalg.det(j)

@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.inverse.columns import Factor, products, times
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -30,7 +31,7 @@ class Modes:
         self.factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_modes_", problem.comm)
         self.block = _start(problem, min(MODES + GUARD, problem.unknowns))
 
-    def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[np.ndarray, np.ndarray, int]:
+    def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[Reals, Reals, int]:
         """Up to `most` eigenvalues (1/s^2), in order, their modes (own, p) of unit mass, right where they are less than
         a cut above the margin, and how many are below the margin; none where the tangent cannot be factored. The
         tangent's diagonal is changed."""
@@ -51,7 +52,7 @@ class Modes:
                 break
         return values[: self.most] + margin, self.block[:, : self.most], below
 
-    def _sweep(self, shifted: PETSc.Mat) -> tuple[np.ndarray, np.ndarray]:
+    def _sweep(self, shifted: PETSc.Mat) -> tuple[Reals, Reals]:
         """Ritz values above the margin and their vectors, in the space of the block and its solves."""
         comm, weight = self.problem.comm, self.mass.array_r[:, None]
         space, last = np.zeros((len(self.block), 0)), self.block
@@ -65,7 +66,7 @@ class Modes:
         width = self.block.shape[1]
         return values[:width], space @ q[:, :width]
 
-    def _beside(self, space: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def _beside(self, space: Reals, columns: Reals) -> Reals:
         """Columns as an orthonormal basis (by M) of what they add to an orthonormal one."""
         comm, weight = self.problem.comm, self.mass.array_r[:, None]
         for _ in range(2):  # twice is enough (Kahan, in Parlett 1980)
@@ -78,7 +79,7 @@ class Modes:
         return columns
 
 
-def _start(problem: Problem, count: int) -> np.ndarray:
+def _start(problem: Problem, count: int) -> Reals:
     """(own, count) random displacements, vertex by vertex the same for any number of ranks."""
     vertex = problem.part.vertex
     fields = np.random.default_rng(0).standard_normal(

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Reals
 from voile.inverse.direct import Direct, DirectPath
 from voile.inverse.neighbours import Checkpoint, Move, Neighbours, Tangent
 from voile.inverse.spectral import Model, barrier
@@ -85,7 +86,7 @@ class Local:
 
     model: Model
     cut: float
-    rise: np.ndarray
+    rise: Reals
     merit: float
     half: float
     tangent: Tangent
@@ -238,7 +239,7 @@ class Nearest:
         """The minimiser of the model within the radius, as far ahead as half of the stability is kept that it has
         without load; None where there is none."""
 
-        def ahead(share: float) -> tuple[Model, np.ndarray | None]:
+        def ahead(share: float) -> tuple[Model, Reals | None]:
             left = self.radius**2 - (share * local.reach) ** 2
             lost = self.sink * (share * local.reach) ** 2 * np.eye(len(local.rise))
             matrix = local.model.matrix + share * local.rise - lost
@@ -282,7 +283,7 @@ class Nearest:
         merit = half + local.model.mu * float(barrier(above)[0].sum())
         return (local.merit - merit) / (local.merit - trial.merit)
 
-    def _entering(self, point: Checkpoint) -> np.ndarray:
+    def _entering(self, point: Checkpoint) -> Flags:
         """(n,) the local vertices that a point has inside an obstacle."""
         self.beside.go_to(point)
         x = self.problem.positions(self.beside.direct.state(point.z))

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Reals
 from voile.inverse.columns import Factor, orthonormal, products, times
 from voile.inverse.direct import Direct
 from voile.inverse.modes import Modes
@@ -65,7 +66,7 @@ class Checkpoint:
     z: PETSc.Vec
     fraction: float
     margin: float
-    values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    values: Reals = field(default_factory=lambda: np.zeros(0))
     modes: list[PETSc.Vec] = field(default_factory=list)
 
     def beside(self, move: Move, load: float, margin: float) -> "Checkpoint":
@@ -78,10 +79,10 @@ class Tangent:
     """Moves from a point: `s` and `z` (own, p) of a basis of orthonormal ones, the coordinates (p, g) in it of the
     gradients that it was made for, and the quadratic form of ds alone."""
 
-    s: np.ndarray
-    z: np.ndarray
-    slopes: np.ndarray
-    form: np.ndarray
+    s: Reals
+    z: Reals
+    slopes: Reals
+    form: Reals
 
 
 Slopes = dict[tuple[int, int], Move]
@@ -90,7 +91,7 @@ Slopes = dict[tuple[int, int], Move]
 class Neighbours:
     """Equilibria beside a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, held: np.ndarray):
+    def __init__(self, direct: Direct, held: Flags):
         """held: (n,) local vertices that stay where they are in the target."""
         self.direct, self.target, self.problem = direct, direct.target, direct.problem
         target, problem = self.target, self.problem
@@ -108,7 +109,7 @@ class Neighbours:
         self.metric_factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_metric_", problem.comm)
         self.hold(held)
 
-    def hold(self, vertex: np.ndarray) -> None:
+    def hold(self, vertex: Flags) -> None:
         """Keeps local vertices (n,) where they are from now on."""
         field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
         self.free &= self.target.field_vector(field).array_r == 0.0
@@ -251,11 +252,11 @@ class Neighbours:
             total += out.dot(part)
         return math.sqrt(max(total, 0.0))
 
-    def _answer(self, s: np.ndarray) -> np.ndarray:
+    def _answer(self, s: Reals) -> Reals:
         """dz (own, p) that keeps the balance under displacements s (own, p)."""
         return -self.factor.solve(times(self.across, s))
 
-    def _reduced(self, s: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def _reduced(self, s: Reals, z: Reals) -> Reals:
         """Gradients (own, p) by s alone, with dz as it follows, of those by s and z."""
         gradient = s - times(self.across, self.factor.solve(z, transposed=True))
         gradient[~self.free] = 0.0
@@ -272,7 +273,7 @@ class Neighbours:
         basis = orthonormal(0.5 * (gram + gram.T))
         return Tangent(s @ basis, z @ basis, basis.T @ products(s, slope, comm), basis.T @ near @ basis)
 
-    def _descend(self, left: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _descend(self, left: Reals, weight: Reals) -> tuple[Reals, Reals]:
         """Moves (own, p) of about the least length but for gradients (own, p) by ds: conjugate gradients on all columns
         as one vector, squares by weight (p,), preconditioned by the metric of displacements. The moves are linear in
         the gradients: they do not depend on how modes of one eigenvalue are told apart."""
@@ -300,7 +301,7 @@ class Neighbours:
         s = self.metric_factor.solve(self._reduced(*_stacked(gradients)))
         return [self.move(*pair) for pair in zip(s.T, self._answer(s).T, strict=True)]
 
-    def move(self, s: np.ndarray, z: np.ndarray) -> Move:
+    def move(self, s: Reals, z: Reals) -> Move:
         """Of columns (own,)."""
         move = self.still()
         move.s.array[:], move.z.array[:] = s, z
@@ -328,7 +329,7 @@ class Neighbours:
         point.values, point.modes = values[:kept], [self._vector(mode) for mode in modes.T[:kept]]
         return True
 
-    def _vector(self, column: np.ndarray) -> PETSc.Vec:
+    def _vector(self, column: Reals) -> PETSc.Vec:
         vector = self.problem.create_vector()
         vector.array[:] = column
         return vector
@@ -375,7 +376,7 @@ class Neighbours:
         return more - less
 
 
-def _stacked(gradients: list[Move]) -> tuple[np.ndarray, np.ndarray]:
+def _stacked(gradients: list[Move]) -> tuple[Reals, Reals]:
     """(own, p) of the shape and of the rest shape."""
     s, z = ([getattr(g, part).array_r for g in gradients] for part in "sz")
     return np.stack(s, axis=1), np.stack(z, axis=1)

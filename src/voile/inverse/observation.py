@@ -6,6 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.contact.obstacles import Obstacle
 from voile.errors import InputError
 from voile.inverse.direct import Direct
@@ -34,7 +35,7 @@ class Observation:
     def __init__(
         self,
         problem: Problem,
-        observed: np.ndarray | None = None,
+        observed: Reals | None = None,
         obstacles: tuple[Obstacle, ...] = (),
         offset: float = 0.0,
         steps: int = 1,
@@ -92,7 +93,7 @@ class Observation:
             self.obstacles = tuple(replace(o, friction=values[FRICTION]) for o in self.obstacles)
         return True
 
-    def set_rest(self, points: np.ndarray) -> None:
+    def set_rest(self, points: Reals) -> None:
         """Another rest shape: positions (n, 3) m of all vertices of the mesh."""
         self.problem.set_rest(points[self.problem.part.rest_vertex])
 
@@ -113,11 +114,11 @@ class Observation:
         self.state = path.state.copy()
         return self.state
 
-    def missed(self, y: PETSc.Vec) -> np.ndarray:
+    def missed(self, y: PETSc.Vec) -> Reals:
         """(own unknowns,) of a state y less the observed displacements (m); zero for director angles."""
         return np.where(self.seen, y.array_r - self.target.array_r, 0.0)
 
-    def slopes(self, y: PETSc.Vec, values: dict[str, float]) -> np.ndarray:
+    def slopes(self, y: PETSc.Vec, values: dict[str, float]) -> Reals:
         """(own unknowns, k) change of an equilibrium without contact by the logarithms of parameters, -K^-1 dR/dp."""
         self.problem.tangent(y, self._tangent)
         self._factor.setOperators(self._tangent)
@@ -143,7 +144,7 @@ class UnknownRest:
         self._direct.check_round_off()
         self._last: PETSc.Vec | None = None
 
-    def find(self, values: dict[str, float]) -> np.ndarray | None:
+    def find(self, values: dict[str, float]) -> Reals | None:
         """(n, 3) m on every rank, of all vertices of the mesh; None where there is no stable answer."""
         problem, target = self.observation.problem, self._direct.target
         if not self.observation.set(values):

@@ -4,6 +4,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from voile.arrays import Ints, Reals
 from voile.inverse.flatten import FlatPanels, flatten, overlaps
 from voile.inverse.panels import Groups, Panels, split
 from voile.mesh import build_topology
@@ -12,10 +13,10 @@ SOURCES = 60  # points of an outline from which a cut is tried
 
 
 def split_overlaps(
-    triangles: np.ndarray,
-    points: np.ndarray,
+    triangles: Ints,
+    points: Reals,
     groups: Groups | None = None,
-    seams: np.ndarray | None = None,
+    seams: Ints | None = None,
     cut_open: bool | None = None,
 ) -> FlatPanels:
     """As `split` and `flatten`, with more cuts: each panel that overlaps itself in the plane is cut in two.
@@ -38,7 +39,7 @@ def split_overlaps(
         panels = split(triangles, points, groups, pairs, cut_open)
 
 
-def _halving(panels: Panels, k: int) -> np.ndarray:
+def _halving(panels: Panels, k: int) -> Ints:
     """The path (panel vertices) through the inside of panel k that parts it best."""
     outline, x = panels.outlines[k], panels.points[panels.vertex]
     count = len(outline)

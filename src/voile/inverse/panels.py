@@ -7,12 +7,13 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from voile.arrays import Array, Flags, Ints, Reals
 from voile.errors import InputError
 from voile.mesh import Stitches, boundary_loops, build_topology
 
 BACK = (0.0, 0.0, -1.0)  # where an automatic cut goes among paths of like length: the middle of the back
 FRONT_COSTS = 0.5  # relative extra length of an edge at the very front
-Groups = tuple[np.ndarray, tuple[str, ...]]
+Groups = tuple[Ints, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Seam:
     """
 
     panels: tuple[int, int]
-    sides: tuple[np.ndarray, np.ndarray]
-    at: tuple[np.ndarray, np.ndarray]
+    sides: tuple[Ints, Ints]
+    at: tuple[Reals, Reals]
 
 
 @dataclass(frozen=True)
@@ -39,23 +40,23 @@ class Panels:
     beside their being copies of one surface vertex, if anything does.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
-    panel: np.ndarray
+    points: Reals
+    triangles: Ints
+    panel: Ints
     names: tuple[str, ...]
-    corners: np.ndarray
-    vertex: np.ndarray
-    vertex_panel: np.ndarray
-    outlines: tuple[np.ndarray, ...]
+    corners: Ints
+    vertex: Ints
+    vertex_panel: Ints
+    outlines: tuple[Ints, ...]
     seams: tuple[Seam, ...]
     stitches: Stitches | None = None
 
 
 def split(
-    triangles: np.ndarray,
-    points: np.ndarray,
+    triangles: Ints,
+    points: Reals,
     groups: Groups | None = None,
-    seams: np.ndarray | None = None,
+    seams: Ints | None = None,
     cut_open: bool | None = None,
     back: Sequence[float] = BACK,
 ) -> Panels:
@@ -101,7 +102,7 @@ def split(
     )
 
 
-def _check_manifold(triangles: np.ndarray) -> None:
+def _check_manifold(triangles: Ints) -> None:
     start, end = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
     key = start * (triangles.max(initial=0) + 1) + end
     order = np.argsort(key, kind="stable")
@@ -114,7 +115,7 @@ def _check_manifold(triangles: np.ndarray) -> None:
         )
 
 
-def _edges_at(edges: np.ndarray, pairs: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _edges_at(edges: Ints, pairs: Ints, inside: Flags) -> Ints:
     """Indices in `edges` (e, 2) of vertex pairs (k, 2); InputError unless all are edges inside the surface."""
     place = {(int(i), int(j)): k for k, (i, j) in enumerate(edges)}
     found = np.array([place.get((min(i, j), max(i, j)), -1) for i, j in pairs.tolist()], dtype=np.int64)
@@ -126,9 +127,7 @@ def _edges_at(edges: np.ndarray, pairs: np.ndarray, inside: np.ndarray) -> np.nd
     return found
 
 
-def _pieces(
-    triangles: np.ndarray, cut: np.ndarray, group: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(triangles: Ints, cut: Flags, group: Array) -> tuple[Ints, Ints, Ints]:
     """Triangles (m, 3) in vertices that are separate across the `cut` edges; their surface vertices, ordered by
     piece; the piece (m,) of each triangle, numbered by group (m,), then as they appear."""
     topology = build_topology(triangles)
@@ -149,11 +148,11 @@ def _pieces(
     return rank[copy].reshape(m, 3), vertex[order], panel
 
 
-def _graph(one: np.ndarray, other: np.ndarray, count: int) -> sparse.csr_matrix:
+def _graph(one: Ints, other: Ints, count: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.ones(len(one), dtype=np.int8), (one, other)), shape=(count, count))
 
 
-def _names(panel: np.ndarray, groups: Groups | None) -> tuple[str, ...]:
+def _names(panel: Ints, groups: Groups | None) -> tuple[str, ...]:
     """A name for each panel: its group's, numbered where the group has several, else panel-1, panel-2."""
     _, first = np.unique(panel, return_index=True)
     if groups is None:
@@ -166,7 +165,7 @@ def _names(panel: np.ndarray, groups: Groups | None) -> tuple[str, ...]:
     )
 
 
-def _euler(corners: np.ndarray, panel: np.ndarray) -> np.ndarray:
+def _euler(corners: Ints, panel: Ints) -> Ints:
     """Euler characteristic of each piece: 1 for a disc, 2 less two for each handle and one for each border."""
     topology = build_topology(corners)
     of_vertex = np.empty(corners.max() + 1, dtype=np.int64)
@@ -174,7 +173,7 @@ def _euler(corners: np.ndarray, panel: np.ndarray) -> np.ndarray:
     return np.bincount(of_vertex) - np.bincount(of_vertex[topology.edges[:, 0]]) + np.bincount(panel)
 
 
-def _check_discs(corners: np.ndarray, panel: np.ndarray, names: tuple[str, ...], cuts: np.ndarray) -> None:
+def _check_discs(corners: Ints, panel: Ints, names: tuple[str, ...], cuts: Ints) -> None:
     wrong = np.flatnonzero(_euler(corners, panel) != 1)
     if not len(wrong):
         return
@@ -189,7 +188,7 @@ def _check_discs(corners: np.ndarray, panel: np.ndarray, names: tuple[str, ...],
     )
 
 
-def _cut_to_discs(triangles: np.ndarray, points: np.ndarray, cut: np.ndarray, back: np.ndarray) -> np.ndarray:
+def _cut_to_discs(triangles: Ints, points: Reals, cut: Flags, back: Reals) -> Flags:
     """Cut edges (e,) more, until every piece is a disc: between boundary loops first, then handles."""
     topology = build_topology(triangles)
     inside = np.ones(len(cut), dtype=bool)
@@ -212,11 +211,11 @@ def _cut_to_discs(triangles: np.ndarray, points: np.ndarray, cut: np.ndarray, ba
         cut[place[inside[place]]] = True
 
 
-def _key(edges: np.ndarray, count: int) -> np.ndarray:
+def _key(edges: Ints, count: int) -> Ints:
     return edges[:, 0].astype(np.int64) * count + edges[:, 1]
 
 
-def _weighted_edges(piece: np.ndarray, points: np.ndarray, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weighted_edges(piece: Ints, points: Reals, back: Reals) -> tuple[Ints, Reals]:
     """Edges (e, 2) of a piece and their lengths, up to FRONT_COSTS longer the farther they are from the back."""
     edges = build_topology(piece).edges.astype(np.int64)
     forward = -(points[edges].mean(axis=1) @ back)
@@ -225,7 +224,7 @@ def _weighted_edges(piece: np.ndarray, points: np.ndarray, back: np.ndarray) -> 
     return edges, length * (1 + FRONT_COSTS * share)
 
 
-def _shortest(piece: np.ndarray, points: np.ndarray, loops: list[np.ndarray], back: np.ndarray) -> np.ndarray:
+def _shortest(piece: Ints, points: Reals, loops: list[Ints], back: Reals) -> Ints:
     """The shortest path through the inside of a piece from one of its boundary loops to another."""
     edges, weight = _weighted_edges(piece, points, back)
     count = len(points)
@@ -233,7 +232,7 @@ def _shortest(piece: np.ndarray, points: np.ndarray, loops: list[np.ndarray], ba
     for k, loop in enumerate(loops):
         loop_of[loop] = k
     border = loop_of >= 0
-    best: tuple[float, np.ndarray] = (np.inf, np.empty(0, dtype=np.int64))
+    best: tuple[float, Ints] = (np.inf, np.empty(0, dtype=np.int64))
     for k, loop in enumerate(loops[:-1]):
         # paths start on this loop and end where they meet another: no edge leaves the other loops
         leave = np.concatenate([edges, edges[:, ::-1]])
@@ -250,14 +249,14 @@ def _shortest(piece: np.ndarray, points: np.ndarray, loops: list[np.ndarray], ba
     return best[1]
 
 
-def _trace(before: np.ndarray, end: int) -> np.ndarray:
+def _trace(before: Ints, end: int) -> Ints:
     path = [end]
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))
     return np.array(path)
 
 
-def _handles(piece: np.ndarray, points: np.ndarray, back: np.ndarray) -> list[np.ndarray]:
+def _handles(piece: Ints, points: Reals, back: Reals) -> list[Ints]:
     """Paths that open a piece of at most one border: the cut graph of its handles, or a slit in a closed sphere."""
     import igl
 
@@ -277,7 +276,7 @@ def _handles(piece: np.ndarray, points: np.ndarray, back: np.ndarray) -> list[np
 class _Walk:
     """The borders of cut pieces as loops of half edges 3 * triangle + corner, in the order of the panels."""
 
-    def __init__(self, triangles: np.ndarray, corners: np.ndarray, panel: np.ndarray):
+    def __init__(self, triangles: Ints, corners: Ints, panel: Ints):
         self.corners, self.panel = corners, panel
         across = build_topology(corners).across.ravel()
         half = np.flatnonzero(across < 0)
@@ -287,13 +286,13 @@ class _Walk:
         self.partner = {int(h): int(g) for h, g in zip(half, glued, strict=True) if g >= 0}
         self.loops = sorted(self._loops(), key=lambda loop: (panel[loop[0] // 3], loop[0]))
 
-    def starts(self, half: np.ndarray) -> np.ndarray:
+    def starts(self, half: Ints) -> Ints:
         return self.corners[half // 3, (half + 1 - half // 3 * 3) % 3]
 
-    def ends(self, half: np.ndarray) -> np.ndarray:
+    def ends(self, half: Ints) -> Ints:
         return self.corners[half // 3, (half + 2 - half // 3 * 3) % 3]
 
-    def _loops(self) -> Iterator[np.ndarray]:
+    def _loops(self) -> Iterator[Ints]:
         left = dict.fromkeys(self.next)
         while left:
             h, loop = next(iter(left)), []
@@ -309,7 +308,7 @@ class _Walk:
             return False
         return self.next[self.partner[g]] == self.partner[h] and g != self.partner[h]
 
-    def seams(self, points: np.ndarray, vertex: np.ndarray) -> Iterator[Seam]:
+    def seams(self, points: Reals, vertex: Ints) -> Iterator[Seam]:
         """Every seam once, from the side met first; of a closed one the first half edge of its loop is the start."""
         done: set[int] = set()
         for loop in self.loops:

@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.inverse.cut_line import cut_line
 from voile.inverse.ease import add_ease, wanted_ease
@@ -83,12 +84,12 @@ def make_pattern(
     return Pattern(tuple(pieces), tuple(seams), float(allowance), float(tolerance), mirrors, moved)
 
 
-def _turned(x: np.ndarray, grain: np.ndarray) -> np.ndarray:
+def _turned(x: Reals, grain: Reals) -> Reals:
     """Points (v, 2) turned so that `grain` points up."""
     return np.column_stack([x @ np.array([grain[1], -grain[0]]), x @ grain])
 
 
-def _layout(cuts: list[np.ndarray]) -> np.ndarray:
+def _layout(cuts: list[Reals]) -> Reals:
     """Shifts (P, 2) that put the pieces beside each other in rows, their lower edges level; rows go down."""
     low = np.array([cut.min(axis=0) for cut in cuts])
     size = np.array([np.ptp(cut, axis=0) for cut in cuts])
@@ -107,7 +108,7 @@ def _layout(cuts: list[np.ndarray]) -> np.ndarray:
     return place - [0.0, place[:, 1].min()] - low
 
 
-def _corners(outline: np.ndarray) -> np.ndarray:
+def _corners(outline: Reals) -> Ints:
     """Indices of the points where the sew line turns by more than CORNER, the sharpest one within REACH."""
     ends = np.vstack([outline, outline[:1]])
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1)))
@@ -127,7 +128,7 @@ def _corners(outline: np.ndarray) -> np.ndarray:
     return np.sort(np.array(chosen, dtype=np.int64))
 
 
-def _grain_line(outline: np.ndarray) -> np.ndarray:
+def _grain_line(outline: Reals) -> Reals:
     """Lower and upper end (2, 2): the middle three fifths of the longest upright line through the centroid."""
     piece = shapely.make_valid(shapely.Polygon(outline))
     x = piece.centroid.x
@@ -147,7 +148,7 @@ def _notches(
     seams: Sequence[Seam],
     labels: list[str],
     widths: list[float],
-    x: np.ndarray,
+    x: Reals,
     corners: frozenset[int],
 ) -> Notches:
     """Of panel k: at NOTCHES of every seam that is long enough, and where one ends without a corner on either side."""
@@ -175,7 +176,7 @@ def _notches(
     )
 
 
-def _sewn(seam: Seam, label: str, allowance: float, ease: float, x: np.ndarray, panels: Panels) -> SewnSeam:
+def _sewn(seam: Seam, label: str, allowance: float, ease: float, x: Reals, panels: Panels) -> SewnSeam:
     lengths = [float(np.linalg.norm(np.diff(x[side], axis=0), axis=1).sum()) for side in seam.sides]
     first = np.searchsorted(panels.vertex_panel, seam.panels)
     sides = (seam.sides[0] - first[0], seam.sides[1] - first[1])
@@ -247,9 +248,7 @@ def sewing(panels: Panels) -> Stitches:
     return Stitches(*(np.concatenate(part) for part in parts))
 
 
-def write_rest_obj(
-    path: str | Path, panels: Panels, pattern: Pattern, rest: np.ndarray, comment: str
-) -> None:
+def write_rest_obj(path: str | Path, panels: Panels, pattern: Pattern, rest: Reals, comment: str) -> None:
     """Write the panels apart, as an OBJ that sews and drapes: rest positions (n, 3) of the surface's vertices as `v`,
     the pattern as `vt`, a group for each panel, and `stitch` records. Metres. InputError if it cannot be written."""
     write_obj(

@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from voile.arrays import Flags, Reals
+
 MOST = 300  # Newton iterations
 # Damping over the mean of the first Hessian's diagonal, the least; its factor after a step that fails.
 SOFTEST, HARDER = 1e-10, 10.0
@@ -30,14 +32,14 @@ BISECTIONS = 40
 class Cones:
     """Contacts of one rank: unit normal (c, 3) and friction (c,) of each."""
 
-    normal: np.ndarray
-    friction: np.ndarray
+    normal: Reals
+    friction: Reals
 
-    def scaled(self, friction: np.ndarray | float) -> "Cones":
+    def scaled(self, friction: Reals | float) -> "Cones":
         """The same contacts with another friction."""
         return replace(self, friction=np.broadcast_to(friction, self.friction.shape))
 
-    def project(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, v: Reals) -> tuple[Reals, Reals]:
         """Projection (c, 3) of v (c, 3) on the cones |r_T| <= mu r_N, and its derivative (c, 3, 3)."""
         n, mu = self.normal, self.friction
         vn = np.einsum("ci,ci->c", n, v)
@@ -62,15 +64,15 @@ class Balance:
     rigid motions there (their jump between layers), resultant (k,) N of all loads in them, scale (N) of the loads; own
     (c,) marks what this rank counts, add sums an array over ranks."""
 
-    weight: np.ndarray
-    load: np.ndarray
-    modes: np.ndarray
-    resultant: np.ndarray
+    weight: Reals
+    load: Reals
+    modes: Reals
+    resultant: Reals
     scale: float
-    own: np.ndarray
-    add: Callable[[np.ndarray], np.ndarray]
+    own: Flags
+    add: Callable[[Reals], Reals]
 
-    def solve(self, cones: Cones) -> np.ndarray | None:
+    def solve(self, cones: Cones) -> Reals | None:
         """(c, 3) reactions (N), or None where no reactions in the cones balance the loads."""
         k = len(self.resultant)
         if not self.scale:
@@ -97,14 +99,14 @@ class Balance:
                 return None
         return None
 
-    def _escapes(self, cones: Cones, motion: np.ndarray) -> bool:
+    def _escapes(self, cones: Cones, motion: Reals) -> bool:
         """Whether no reaction in the cones resists a rigid motion (k,) that the loads drive."""
         largest = float(np.linalg.norm(self.resultant) * np.linalg.norm(motion))
         driven = float(self.resultant @ motion) < -HIDDEN * largest
         resisted = cones.project(self.modes @ motion)[0].any(axis=1) & self.own
         return driven and not bool(self.add(np.array([float(resisted.any())]))[0])
 
-    def _dual(self, cones: Cones, factor: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    def _dual(self, cones: Cones, factor: Reals) -> tuple[float, Reals, Reals, Reals]:
         """The convex function of lambda, its gradient (k,), Hessian (k, k), and the reactions."""
         trial = self.weight[:, None] * (self.modes @ factor) - self.load
         r, slope = cones.project(trial)

@@ -7,6 +7,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.inverse.adjoint import NEAR, REASON, AdjointPath
 from voile.inverse.bounds import area_range
 from voile.inverse.direct import DirectPath
@@ -46,7 +47,7 @@ class InverseResult:
     trade: list[dict[str, float | None]] | None = None
     nearest: NearestPath | None = None
     held: Simulation | None = None
-    guess: np.ndarray | None = None
+    guess: Reals | None = None
     tolerance: float = 0.0
     spread: float = field(init=False)
 
@@ -218,7 +219,7 @@ def _reactions(result: InverseResult) -> dict:
     }
 
 
-def _range(values: np.ndarray, comm: MPI.Comm) -> list[float]:
+def _range(values: Reals, comm: MPI.Comm) -> list[float]:
     """Least and largest over all ranks, at most and at least 0."""
     low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     return [comm.allreduce(low, op=MPI.MIN), comm.allreduce(high, op=MPI.MAX)]

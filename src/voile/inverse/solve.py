@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Ints, Reals
 from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.errors import NotConverged
@@ -58,8 +58,8 @@ def solve_inverse(
     options: InverseOptions | None = None,
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
-    exempt: np.ndarray | None = None,
-    guess: np.ndarray | None = None,
+    exempt: Ints | None = None,
+    guess: Reals | None = None,
     on_nearest: NearestProgress | None = None,
     layers: Layers | None = None,
     on_found: Callable[[PETSc.Vec], None] | None = None,
@@ -172,7 +172,7 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
 def _make_developable(
     target: Target,
     shell: Shell | None,
-    exempt: np.ndarray | None,
+    exempt: Ints | None,
     z: PETSc.Vec,
     options: InverseOptions,
     on_iteration: AdjointProgress | None,
@@ -212,8 +212,8 @@ def solve_panels(
     on_step: Progress | None = None,
     on_iteration: AdjointProgress | None = None,
     layers: Layers | None = None,
-    on_found: Callable[[np.ndarray], None] | None = None,
-) -> tuple[InverseResult, np.ndarray]:
+    on_found: Callable[[Reals], None] | None = None,
+) -> tuple[InverseResult, Reals]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
     variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
     does those that the search starts from."""

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Reals
+
 INSIDE = 0.02  # of the barrier's reach: where a start inside lies
 EDGE = 1e-8  # nearer to the barrier, round-off tells on which side of it
 STEPS = 100
@@ -12,13 +14,16 @@ DECREASE = 1e-10  # relative, of the last step
 DAMPINGS, FIRST_DAMPING, LONGER = 25, 0.1, 1.25  # tried for a length; the first; over it, that is enough
 
 
-def barrier(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def barrier(t: Reals) -> tuple[Reals, Reals, Reals]:
     """phi(t) = -(1 - t)^2 log t (Li et al. 2020), zero for t > 1 and infinite for t <= 0, with two derivatives."""
     if not (t > 0.0).all():
-        return (np.full_like(t, math.inf),) * 3
+        infinite: Reals = np.full_like(t, math.inf)
+        return infinite, infinite, infinite
     t = np.minimum(t, 1.0)
-    u, log = 1.0 - t, np.log(t)
-    return -(u**2) * log, 2.0 * u * log - u**2 / t, -2.0 * log + 4.0 * u / t + u**2 / t**2
+    u: Reals = 1.0 - t
+    log: Reals = np.log(t)
+    second = np.asarray(-2.0 * log + 4.0 * u / t + u**2 / t**2, dtype=float)
+    return -(u**2) * log, 2.0 * u * log - u**2 / t, second
 
 
 @dataclass
@@ -30,19 +35,19 @@ class Model:
     given; sink: what modes lose to those that the matrix does not know, by the square of the move.
     """
 
-    matrix: np.ndarray
-    slopes: np.ndarray
-    pull: np.ndarray
+    matrix: Reals
+    slopes: Reals
+    pull: Reals
     mu: float
-    form: np.ndarray | None = None
+    form: Reals | None = None
     sink: float = 0.0
 
-    def distance(self, c: np.ndarray) -> float:
+    def distance(self, c: Reals) -> float:
         """Its part without the barrier, undamped."""
         bent = c if self.form is None else self.form @ c
         return float(self.pull @ c + 0.5 * (c @ bent))
 
-    def at(self, c: np.ndarray) -> np.ndarray:
+    def at(self, c: Reals) -> Reals:
         """The matrix at c."""
         return (
             self.matrix
@@ -50,23 +55,23 @@ class Model:
             - self.sink * float(c @ c) * np.eye(len(self.matrix))
         )
 
-    def slopes_at(self, c: np.ndarray) -> np.ndarray:
+    def slopes_at(self, c: Reals) -> Reals:
         """Its derivatives there."""
         if not self.sink:
             return self.slopes
         return self.slopes - 2.0 * self.sink * c[:, None, None] * np.eye(len(self.matrix))
 
-    def value(self, c: np.ndarray, damping: float = 0.0) -> float:
+    def value(self, c: Reals, damping: float = 0.0) -> float:
         t = np.linalg.eigvalsh(self.at(c))
         if t[0] <= EDGE:
             return math.inf
         return self.distance(c) + 0.5 * damping * float(c @ c) + self.mu * float(barrier(t)[0].sum())
 
-    def lowest(self, c: np.ndarray) -> float:
+    def lowest(self, c: Reals) -> float:
         """The lowest eigenvalue at c."""
         return float(np.linalg.eigvalsh(self.at(c))[0])
 
-    def within(self, radius: float) -> np.ndarray | None:
+    def within(self, radius: float) -> Reals | None:
         """Its minimiser, damped so that |c| is about the radius where it would be more; None where there is none."""
         c, damping = self._inside(), 0.0
         if c is None or np.linalg.norm(c) > LONGER * radius:
@@ -88,7 +93,7 @@ class Model:
                 damping = math.sqrt(max(low, FIRST_DAMPING / 4.0) * high)
         return best
 
-    def minimise(self, damping: float, start: np.ndarray | None = None) -> np.ndarray | None:
+    def minimise(self, damping: float, start: Reals | None = None) -> Reals | None:
         """Its minimiser, by Newton's method from a start inside; None where none is found."""
         c = self._inside() if start is None else start
         if c is None:
@@ -113,7 +118,7 @@ class Model:
             value = self.value(c, damping)
         return c
 
-    def _derivatives(self, c: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    def _derivatives(self, c: Reals, damping: float) -> tuple[Reals, Reals]:
         """Gradient and Hessian; the latter by divided differences (Lewis and Sendov 2001)."""
         t, v = np.linalg.eigh(self.at(c))
         _, first, second = barrier(t)
@@ -128,7 +133,7 @@ class Model:
         form = form - 2.0 * self.mu * self.sink * first.sum() * np.eye(len(c))
         return gradient, form + self.mu * (flat * divided.ravel()) @ flat.T
 
-    def _inside(self) -> np.ndarray | None:
+    def _inside(self) -> Reals | None:
         """The least move that lifts all eigenvalues clearly above zero, step by step."""
         c = np.zeros(len(self.pull))
         for _ in range(60):

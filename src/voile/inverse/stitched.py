@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.inverse.panels import Panels, Seam
 from voile.mesh import Stitches
 
@@ -16,8 +17,8 @@ EASE = 3.0  # a seam goes on while its sides advance by lengths that differ by n
 class _Outline:
     """A panel's outline: panel vertices (b,), the arc length (b,) up to each and that of the whole, m."""
 
-    vertices: np.ndarray
-    arc: np.ndarray
+    vertices: Ints
+    arc: Reals
     length: float
 
 
@@ -44,9 +45,7 @@ def add_stitches(panels: Panels, stitches: Stitches) -> Panels:
     return replace(panels, seams=panels.seams + seams, stitches=own)
 
 
-def _stitched_seams(
-    points: np.ndarray, outlines: Sequence[np.ndarray], stitches: Stitches
-) -> tuple[Seam, ...]:
+def _stitched_seams(points: Reals, outlines: Sequence[Ints], stitches: Stitches) -> tuple[Seam, ...]:
     rings = [_ring(points, outline) for outline in outlines]
     seams: list[Seam] = []
     for chain in _chains(_matches(rings, stitches), rings):
@@ -56,7 +55,7 @@ def _stitched_seams(
     return tuple(seams)
 
 
-def _ring(points: np.ndarray, outline: np.ndarray) -> _Outline:
+def _ring(points: Reals, outline: Ints) -> _Outline:
     lengths = np.linalg.norm(points[np.roll(outline, -1)] - points[outline], axis=1)
     return _Outline(outline, np.cumsum(lengths) - lengths, float(lengths.sum()))
 
@@ -130,7 +129,7 @@ def _seam(chain: list[_Match], rings: list[_Outline]) -> Seam:
     return Seam((chain[0].panel, chain[0].other), sides, (along / along[-1], at / along[-1]))
 
 
-def _turn(arc: np.ndarray, length: float) -> np.ndarray:
+def _turn(arc: Reals, length: float) -> Reals:
     """Differences of arc lengths on a closed line, from minus to plus half its length."""
     return (arc + 0.5 * length) % length - 0.5 * length
 

@@ -8,6 +8,7 @@ import scipy.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Array, Flags, Ints, Reals
 from voile.contact.candidates import Layers
 from voile.contact.contact import Contact
 from voile.contact.obstacles import Obstacle
@@ -87,15 +88,15 @@ class Target:
         mu = [np.full(len(t), t.partner.friction if friction else 0.0) for t in self.contacts]
         return Cones(np.concatenate([t.normal for t in self.contacts]), np.concatenate(mu))
 
-    def _gather(self, part: Callable[[ContactPairs], np.ndarray], *shape: int) -> np.ndarray:
+    def _gather(self, part: Callable[[ContactPairs], Array], *shape: int) -> Array:
         """(c, ...) of all contacts, what `part` says of those with one partner."""
         return np.concatenate([np.zeros((0, *shape)), *map(part, self.contacts)])
 
-    def _jump(self, field: np.ndarray) -> np.ndarray:
+    def _jump(self, field: Reals) -> Reals:
         """(c, 3, ...) of a field (local vertices, 3, ...) at all contacts."""
         return self._gather(lambda pairs: pairs.relative(field), *field.shape[1:])
 
-    def _spread(self, reactions: np.ndarray) -> np.ndarray:
+    def _spread(self, reactions: Reals) -> Reals:
         """(local vertices, 3) forces of reactions (c, 3) N."""
         return sum((t.spread(reactions[rows]) for t, rows in self._rows()), np.zeros_like(self.x))
 
@@ -103,23 +104,23 @@ class Target:
         """Whether it is with an obstacle."""
         return pairs.index < len(self.obstacles)
 
-    def on_obstacles(self) -> np.ndarray:
+    def on_obstacles(self) -> Flags:
         """(c,) marks the contacts with obstacles."""
         return self._gather(lambda pairs: np.full(len(pairs), self._rigid(pairs))).astype(bool)
 
-    def touching(self) -> np.ndarray:
+    def touching(self) -> Flags:
         """(n,) local vertices that touch."""
         marked = np.zeros(len(self.x), dtype=bool)
         for pairs in self.contacts:
             marked |= np.isfinite(pairs.least(np.zeros(len(pairs))))
         return marked
 
-    def gaps(self) -> np.ndarray:
+    def gaps(self) -> Reals:
         """(c,) distances (m) of what may touch in the target, from surface to surface: negative where it sinks."""
         thickness = self.layers.thickness if self.layers else 0.0
         return self._gather(lambda t: t.gap - (self.offset if self._rigid(t) else thickness))
 
-    def folds(self) -> tuple[np.ndarray, np.ndarray]:
+    def folds(self) -> tuple[Ints, Reals]:
         """Pairs of neighbouring local triangles (k, 2) and the angle (k,) in radians between them: 0 where one lies on
         the other, pi where they are level."""
         part = self.problem.part
@@ -139,7 +140,7 @@ class Target:
         total = problem.comm.allreduce(np.array([size[problem.own].sum(), float(problem.own.sum())]))
         mean = total[0] / total[1]
 
-        def borne(pairs: ContactPairs, values: np.ndarray, else_: float) -> np.ndarray:
+        def borne(pairs: ContactPairs, values: Reals, else_: float) -> Reals:
             """A vertex takes its own load; layers as little as possible."""
             layers = np.full((len(pairs), *values.shape[1:]), else_)
             return values[pairs.stencil] if self._rigid(pairs) else layers
@@ -168,7 +169,7 @@ class Target:
             reserve = RESERVE * np.maximum(cones.friction - least, 0.0)
             self._used = cones.scaled(cones.friction - reserve)
 
-    def _check_hinges(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    def _check_hinges(self, parts: list[tuple[Ints, Ints]]) -> None:
         """Raises Hinged for parts that hang by one or two vertices and touch nothing."""
         problem = self.problem
         touching = problem.part.vertex[self.touching()]
@@ -200,7 +201,7 @@ class Target:
             offer = f"the least friction that would do is {least:.4g}, {where}"
         return f"no reactions in the cones of its {count} contacts hold the target on {names}: {offer}"
 
-    def _where(self, r: np.ndarray | None) -> str:
+    def _where(self, r: Reals | None) -> str:
         """The contact that would carry most."""
         assert r is not None
         size, part = np.linalg.norm(r, axis=1), self.problem.part
@@ -244,18 +245,18 @@ class Target:
             yield pairs, slice(start, start + len(pairs))
             start += len(pairs)
 
-    def _active(self) -> np.ndarray:
+    def _active(self) -> Flags:
         """(c,) whether a contact carries anything."""
         size = np.linalg.norm(self.reactions, axis=1)
         largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
         return size > TINY * largest
 
-    def margins(self) -> tuple[np.ndarray, np.ndarray]:
+    def margins(self) -> tuple[Reals, Reals]:
         """(c,) normal reactions (N) and margins to slip."""
         normal = dot(self.reactions, self.cones.normal)
         return normal, margin(normal, within(self.cones.normal, self.reactions), self.cones.friction)
 
-    def fields(self) -> dict[str, np.ndarray]:
+    def fields(self) -> dict[str, Array]:
         """Of the target at the local vertices as `contact_fields` of a state; gaps of what touches are 0."""
         if not self.contacts:
             return {}
@@ -285,7 +286,7 @@ class Target:
         """Norm of the full loads on the unknowns (N)."""
         return self.problem.at(1.0).load_norm(y)
 
-    def _grounding(self) -> np.ndarray:
+    def _grounding(self) -> Ints:
         """Global indices of as many unknowns as there are free motions, which held stop them all."""
         k = self.modes.shape[2]
         values = np.zeros((self.problem.part.owned, k))
@@ -297,11 +298,11 @@ class Target:
         _, _, order = scipy.linalg.qr(values.T, mode="economic", pivoting=True)
         return np.sort(order[:k]).astype(np.int32)
 
-    def field_vector(self, field: np.ndarray) -> PETSc.Vec:
+    def field_vector(self, field: Reals) -> PETSc.Vec:
         """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
         return field_vector(self.problem, field)
 
-    def _mine(self) -> np.ndarray:
+    def _mine(self) -> Ints:
         first = self.problem.part.first_global
         return self.ground_rows[
             (self.ground_rows >= first) & (self.ground_rows < first + self.problem.part.owned)

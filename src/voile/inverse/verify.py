@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
@@ -96,7 +97,7 @@ def _disturbance(target: Target) -> PETSc.Vec:
     return target.field_vector(reach[:, None] * np.sin(x @ wave.T))
 
 
-def _from_folds(target: Target) -> np.ndarray:
+def _from_folds(target: Target) -> Reals:
     """(local vertices,) distance (m) from the nearest vertex of a nearly closed fold, plus its opening."""
     corners = target.problem.part.corners
     pairs, opening = target.folds()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.mesh.select import select
 from voile.mesh.shares import edges_of, portions, shares
@@ -19,10 +20,10 @@ class Attached:
 
     surface: Surface
     topology: Topology
-    loops: Sequence[np.ndarray]
+    loops: Sequence[Ints]
     path: str
 
-    def total(self, key: str, tables: Sequence[tuple[Any, Any]]) -> np.ndarray | None:
+    def total(self, key: str, tables: Sequence[tuple[Any, Any]]) -> Reals | None:
         """(n,) or (n, 3) sum over tables, each with its value: a total over its selection, or per length or area of
         it; None without tables."""
         found = [
@@ -30,7 +31,7 @@ class Attached:
         ]
         return np.sum(found, axis=0) if found else None
 
-    def patches(self, tables: Sequence[Any]) -> np.ndarray | None:
+    def patches(self, tables: Sequence[Any]) -> Reals | None:
         """(m,) pressure of the triangles of groups; None without."""
         total = np.zeros(len(self.surface.triangles))
         names = self.surface.group_names
@@ -43,25 +44,25 @@ class Attached:
             total[self.surface.group == names.index(table.group)] += table.pressure
         return total if tables else None
 
-    def springs(self, tables: Sequence[Any]) -> np.ndarray | None:
+    def springs(self, tables: Sequence[Any]) -> Reals | None:
         """(n, 3) stiffness of elastic supports along each axis."""
         axes = [np.array([axis in table.axes for axis in "xyz"], dtype=float) for table in tables]
         return self.total("spring", [(t, t.stiffness * along) for t, along in zip(tables, axes, strict=True)])
 
-    def bars(self, bands: Sequence[Any], ties: Sequence[Any]) -> np.ndarray | None:
+    def bars(self, bands: Sequence[Any], ties: Sequence[Any]) -> Reals | None:
         """(b, 4) two vertices, stiffness and length of bands' edges and of ties."""
         rows = [self._band(k, band) for k, band in enumerate(bands)]
         rows += [self._tie(k, tie) for k, tie in enumerate(ties)]
         return np.concatenate(rows) if rows else None
 
-    def _amounts(self, key: str, table: Any) -> np.ndarray:
+    def _amounts(self, key: str, table: Any) -> Reals:
         where = f"{self.path}: {key}"
         vertices = select(self.surface, self.loops, table.select, f"{where}.select")
         if table.per == "total":
             return shares(self.surface, self.topology, vertices, table.share, f"{where}.share")[0]
         return portions(self.surface, self.topology, vertices, table.per, f"{where}.per")[0]
 
-    def _band(self, k: int, band: Any) -> np.ndarray:
+    def _band(self, k: int, band: Any) -> Reals:
         where, x = f"{self.path}: band.{k}.select", self.surface.points
         inside = np.zeros(len(x), dtype=bool)
         inside[select(self.surface, self.loops, band.select, where)] = True
@@ -71,7 +72,7 @@ class Attached:
         length = band.rest * np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
         return np.column_stack([edges, band.stiffness / length, length])
 
-    def _tie(self, k: int, tie: Any) -> np.ndarray:
+    def _tie(self, k: int, tie: Any) -> Reals:
         where, x = f"{self.path}: tie.{k}.nodes", self.surface.points
         if tie.nodes[0] == tie.nodes[1]:
             raise InputError(f"{where}: vertex {tie.nodes[0]} twice; allowed: two vertices")

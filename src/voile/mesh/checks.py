@@ -7,6 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 from voile.mesh.stitches import Stitches, circular, sewing_matrix
@@ -68,7 +69,7 @@ def check_triangles(raw: RawMesh) -> None:
         raise InputError(f"{raw.source}: {raw.triangle(flat[0])} has no area; its vertices lie on a line")
 
 
-def flat_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def flat_triangles(points: Reals, triangles: Ints) -> Ints:
     """Indices of the triangles whose area vanishes against their longest edge."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     longest = np.maximum(np.maximum(_norm(b - a), _norm(c - b)), _norm(a - c))
@@ -77,11 +78,11 @@ def flat_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.flatnonzero((twice_area <= FLATNESS) | (longest == 0))
 
 
-def _norm(vectors: np.ndarray) -> np.ndarray:
+def _norm(vectors: Reals) -> Reals:
     return np.linalg.norm(vectors, axis=1)
 
 
-def orient(raw: RawMesh) -> np.ndarray:
+def orient(raw: RawMesh) -> Flags:
     """(m,) True for the triangles to flip so that neighbours agree; all False if they do already.
 
     In each component the fewer triangles are flipped (on a tie the first one stays).
@@ -106,7 +107,7 @@ def orient(raw: RawMesh) -> np.ndarray:
     return _flips(raw, one // 3, other // 3, clash) if clash.any() else flip
 
 
-def _flips(raw: RawMesh, one: np.ndarray, other: np.ndarray, clash: np.ndarray) -> np.ndarray:
+def _flips(raw: RawMesh, one: Ints, other: Ints, clash: Flags) -> Flags:
     """Triangles to flip, from the pairs of neighbours and whether they clash.
 
     Two copies of each triangle, as given (t) and flipped (t + m): a clash ties unlike copies, agreement
@@ -132,7 +133,7 @@ def _flips(raw: RawMesh, one: np.ndarray, other: np.ndarray, clash: np.ndarray) 
     return given != keep_given[sheet]
 
 
-def sew(raw: RawMesh, used: np.ndarray) -> np.ndarray:
+def sew(raw: RawMesh, used: Flags) -> Flags:
     """(m,) False for the triangles that vanish once sewn, as where real seams join neighbours.
 
     `used` (n,): vertices of triangles. Raises InputError where a stitch ties another vertex, has a weight

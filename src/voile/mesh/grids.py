@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 DIAGONALS = ("alternating", "crossed", "right")
 
 
-def grid(nu: int, nv: int, diagonals: str = "alternating") -> tuple[np.ndarray, np.ndarray]:
+def grid(nu: int, nv: int, diagonals: str = "alternating") -> tuple[Reals, Ints]:
     """Unit square in nu x nv cells: (u, v) (n, 2) in [0, 1] and counter-clockwise triangles (m, 3).
 
     diagonals: "alternating" turns every other one (union jack), "crossed" puts a vertex in each cell; neither
@@ -31,7 +33,7 @@ def grid(nu: int, nv: int, diagonals: str = "alternating") -> tuple[np.ndarray, 
     return points, np.stack([one, two], axis=1).reshape(-1, 3)
 
 
-def rings(counts: Sequence[int]) -> tuple[list[np.ndarray], np.ndarray]:
+def rings(counts: Sequence[int]) -> tuple[list[Reals], Ints]:
     """Triangles between rings of `counts` vertices each, 1 at a pole.
 
     Returns the positions in [0, 1) of the vertices along each ring, every other ring half a step later, and

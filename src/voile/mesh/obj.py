@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh, fan
 from voile.mesh.stitches import Stitches
@@ -104,7 +105,7 @@ def _lines(records: _Records, key: bytes) -> Iterator[tuple[int, list[bytes]]]:
         stop += count
 
 
-def _numbers(path: Path, records: _Records, key: bytes) -> np.ndarray:
+def _numbers(path: Path, records: _Records, key: bytes) -> Reals:
     """The values of all records of one keyword: (count, 2 to 4) float64."""
     _, counts, tokens = records[key]
     least, form = _NUMBERS[key]
@@ -124,18 +125,18 @@ def _numbers(path: Path, records: _Records, key: bytes) -> np.ndarray:
     raise AssertionError("every record parses by itself, but not together")
 
 
-def _parse(tokens: list[bytes], dtype: type) -> np.ndarray | None:
+def _parse(tokens: list[bytes], dtype: type) -> Array | None:
     """Tokens as numbers, None if any is not one."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
-            values: np.ndarray = np.fromstring(b" ".join(tokens), dtype=dtype, sep=" ")
+            values: Array = np.fromstring(b" ".join(tokens), dtype=dtype, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
     return values if len(values) == len(tokens) else None
 
 
-def _corners(path: Path, records: _Records) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _corners(path: Path, records: _Records) -> tuple[Ints, Ints, Ints]:
     """Vertex and texture index of every face corner (c, 2) as in the file; corners and line of each face."""
     numbers, per_line, tokens = records[b"f"]
     lines, counts = np.array(numbers, dtype=np.int64), np.array(per_line, dtype=np.int64)
@@ -166,9 +167,7 @@ def _corners(path: Path, records: _Records) -> tuple[np.ndarray, np.ndarray, np.
     raise InputError(f"{path}: face indices too large")
 
 
-def _resolve(
-    path: Path, index: np.ndarray, what: str, key: str, at: np.ndarray, defined: list[int]
-) -> np.ndarray:
+def _resolve(path: Path, index: Ints, what: str, key: str, at: Ints, defined: list[int]) -> Ints:
     """Indices from 0 out of OBJ's, which count from 1 or, if negative, back from the last record so far."""
     resolved = index - 1
     negative = np.flatnonzero(index < 0)
@@ -183,7 +182,7 @@ def _resolve(
     return resolved
 
 
-def _stitches(path: Path, records: _Records, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _stitches(path: Path, records: _Records, count: int) -> tuple[Ints, Reals, Ints]:
     """Slave, first, second (s, 3) from 0, weight (s,) and line (s,) of the stitch records."""
     values = _numbers(path, records, b"stitch")
     lines = np.array(records[b"stitch"][0], dtype=np.int64)
@@ -198,7 +197,7 @@ def _stitches(path: Path, records: _Records, count: int) -> tuple[np.ndarray, np
     return indices.astype(np.int64), values[:, 3], lines
 
 
-def _groups(records: _Records, lines: np.ndarray) -> tuple[np.ndarray, list[str]]:
+def _groups(records: _Records, lines: Ints) -> tuple[Ints, list[str]]:
     """Group of each face, an index into the list of names in order of appearance."""
     key = b"g" if records[b"g"][0] else b"o"
     names = ["default"]
@@ -213,11 +212,11 @@ def _groups(records: _Records, lines: np.ndarray) -> tuple[np.ndarray, list[str]
 
 def write_obj(
     path: str | Path,
-    points: np.ndarray,
-    triangles: np.ndarray,
-    texture: np.ndarray | None = None,
-    texture_triangles: np.ndarray | None = None,
-    groups: tuple[np.ndarray, tuple[str, ...]] | None = None,
+    points: Reals,
+    triangles: Ints,
+    texture: Reals | None = None,
+    texture_triangles: Ints | None = None,
+    groups: tuple[Ints, tuple[str, ...]] | None = None,
     stitches: Stitches | None = None,
     comment: str = "",
 ) -> None:

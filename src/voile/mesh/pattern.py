@@ -6,7 +6,7 @@ All pieces lie right side up, grain line upwards, each counter-clockwise.
 import re
 from dataclasses import dataclass
 
-import numpy as np
+from voile.arrays import Ints, Reals
 
 
 @dataclass(frozen=True)
@@ -14,9 +14,9 @@ class Notches:
     """q notches of a piece: points (q, 2) on the sew line, unit directions (q, 2) into the piece, allowance (q,) from
     there to the cut line, labels, which are the same on both sides of a seam."""
 
-    points: np.ndarray
-    inward: np.ndarray
-    allowance: np.ndarray
+    points: Reals
+    inward: Reals
+    allowance: Reals
     labels: tuple[str, ...]
 
 
@@ -30,13 +30,13 @@ class Piece:
     """
 
     name: str
-    points: np.ndarray
-    triangles: np.ndarray
-    stretches: np.ndarray
-    outline: np.ndarray
-    cut: tuple[np.ndarray, ...]
-    turns: np.ndarray
-    grain: np.ndarray
+    points: Reals
+    triangles: Ints
+    stretches: Reals
+    outline: Ints
+    cut: tuple[Reals, ...]
+    turns: Ints
+    grain: Reals
     notches: Notches
 
 
@@ -48,7 +48,7 @@ class SewnSeam:
 
     label: str
     pieces: tuple[int, int]
-    sides: tuple[np.ndarray, np.ndarray]
+    sides: tuple[Ints, Ints]
     lengths: tuple[float, float]
     allowance: float
     ease: float

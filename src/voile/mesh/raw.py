@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 
 @dataclass(eq=False)
 class RawMesh:
@@ -17,18 +19,18 @@ class RawMesh:
     """
 
     source: str
-    points: np.ndarray
-    triangles: np.ndarray
-    group: np.ndarray
+    points: Reals
+    triangles: Ints
+    group: Ints
     group_names: tuple[str, ...]
-    texture: np.ndarray | None = None
-    texture_triangles: np.ndarray | None = None
-    stitch_vertices: np.ndarray | None = None
-    stitch_weight: np.ndarray | None = None
-    point_lines: np.ndarray | None = None
-    triangle_lines: np.ndarray | None = None
-    stitch_lines: np.ndarray | None = None
-    vertex_groups: dict[str, np.ndarray] = field(default_factory=dict)
+    texture: Reals | None = None
+    texture_triangles: Ints | None = None
+    stitch_vertices: Ints | None = None
+    stitch_weight: Reals | None = None
+    point_lines: Ints | None = None
+    triangle_lines: Ints | None = None
+    stitch_lines: Ints | None = None
+    vertex_groups: dict[str, Ints] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     in_metres: bool = False  # the file says so: no scale applies
     polygons: int = 0  # faces of more than three corners
@@ -50,7 +52,7 @@ class RawMesh:
         return f"stitch {index}" + _line(self.stitch_lines, index)
 
 
-def mesh_of_arrays(points: np.ndarray, triangles: np.ndarray) -> RawMesh:
+def mesh_of_arrays(points: Reals, triangles: Ints) -> RawMesh:
     """The mesh of points (n, 2 or 3) and triangles (m, 3), vertices counted from 0. Raises ValueError for others."""
     points = np.array(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
@@ -63,11 +65,11 @@ def mesh_of_arrays(points: np.ndarray, triangles: np.ndarray) -> RawMesh:
     return RawMesh("mesh of arrays", points, corners.astype(np.int64), group, ("default",))
 
 
-def _line(lines: np.ndarray | None, index: int) -> str:
+def _line(lines: Ints | None, index: int) -> str:
     return "" if lines is None else f" in line {lines[index]}"
 
 
-def fan(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fan(corners: Ints) -> tuple[Ints, Ints]:
     """Fan triangulation of polygons with `corners` (p,) >= 3 corners each, stored one after the other.
 
     Returns (m, 3) positions in that storage and (m,) the polygon of each triangle.

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from voile.arrays import Flags, Ints
 from voile.errors import InputError
 from voile.mesh.refine_seams import refine_stitches
 from voile.mesh.surface import Surface
@@ -56,7 +57,7 @@ def _refined(coarse: Surface) -> Surface:
     )
 
 
-def _carried(fine: Surface, vertices: np.ndarray) -> np.ndarray:
+def _carried(fine: Surface, vertices: Ints) -> Ints:
     """Vertices of a refined surface from those of the coarser one, see carry_nodes."""
     assert fine.coarser is not None
     chosen = np.zeros(len(fine.coarser.points), dtype=bool)
@@ -64,7 +65,7 @@ def _carried(fine: Surface, vertices: np.ndarray) -> np.ndarray:
     return np.flatnonzero(carry_nodes(fine, chosen))
 
 
-def _quarters(triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
+def _quarters(triangles: Ints, middle: Ints) -> Ints:
     """(4m, 3) int32 triangles of (m, 3) triangles and the vertices in the middle of their edges (m, 3), each opposite
     the corner of its column."""
     (a, b, c), (p, q, r) = triangles.T, middle.T
@@ -72,7 +73,7 @@ def _quarters(triangles: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.array(parts).transpose(2, 0, 1).reshape(-1, 3), dtype=np.int32)
 
 
-def surface_loops(surface: Surface, topology: Topology) -> list[np.ndarray]:
+def surface_loops(surface: Surface, topology: Topology) -> list[Ints]:
     """The surface's boundary loops, longest first; those of a refined one in the order of the mesh file's."""
     if surface.coarser is None:
         return boundary_loops(surface.triangles, topology, surface.points)
@@ -83,7 +84,7 @@ def surface_loops(surface: Surface, topology: Topology) -> list[np.ndarray]:
     ]
 
 
-def midpoints(surface: Surface, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def midpoints(surface: Surface, start: Ints, end: Ints) -> Ints:
     """(k,) vertices of a refined surface between vertices (k,), (k,) that are neighbours in the coarser one."""
     assert surface.coarser is not None and surface.ends is not None
     count = len(surface.coarser.points)
@@ -92,7 +93,7 @@ def midpoints(surface: Surface, start: np.ndarray, end: np.ndarray) -> np.ndarra
     return count + np.searchsorted(ends[:, 0] * count + ends[:, 1], low * count + high)
 
 
-def carry_nodes(surface: Surface, chosen: np.ndarray) -> np.ndarray:
+def carry_nodes(surface: Surface, chosen: Flags) -> Flags:
     """(n,) which vertices of a refined surface are chosen, where the coarser one's are `chosen`: a midpoint is if both
     ends of its edge are, so that chosen lines and areas stay chosen along their length and inside.
 

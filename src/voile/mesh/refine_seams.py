@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology
 
@@ -32,7 +33,7 @@ class _Spot:
 class _Seams:
     """The coarser mesh's points that are joined, its hanging ones, and its edges between points."""
 
-    def __init__(self, stitches: Stitches, points: np.ndarray, topology: Topology):
+    def __init__(self, stitches: Stitches, points: Reals, topology: Topology):
         n = len(points)
         self.label, self.hangs = join(stitches, n)
         slave, first, second = (
@@ -51,7 +52,7 @@ class _Seams:
         self.edge = {(int(a), int(b)): int(e) for e in self.masters for a, b in [np.sort(self.ends[e])]}
         self.around = self._around()
 
-    def _same(self) -> tuple[np.ndarray, np.ndarray]:
+    def _same(self) -> tuple[Ints, Ints]:
         """Edges of which one stands for all between the same two points, and (k, 2) those to sew to such a one: all on
         the border, and one inside a panel if it is the only one there."""
         low, high = np.sort(self.ends, axis=1).T.astype(np.int64)
@@ -156,7 +157,7 @@ class _Seams:
         return _Spot(a, b, begin + share * (stop - begin))
 
 
-def refine_stitches(stitches: Stitches, points: np.ndarray, topology: Topology) -> Stitches:
+def refine_stitches(stitches: Stitches, points: Reals, topology: Topology) -> Stitches:
     """Stitches of the mesh whose vertices are `points` (n, 3), then the middles of the edges: the given ones, those on
     an edge now on a half of it, and those of the middles."""
     seams = _Seams(stitches, points, topology)

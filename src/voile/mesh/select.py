@@ -8,15 +8,14 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from voile.arrays import Flags, Ints
 from voile.errors import InputError
 from voile.mesh.refine import carry_nodes, midpoints
 from voile.mesh.surface import Surface
 from voile.mesh.topology import Topology, build_topology
 
 
-def select(
-    surface: Surface, boundary_loops: Sequence[np.ndarray], selection: dict[str, Any], where: str
-) -> np.ndarray:
+def select(surface: Surface, boundary_loops: Sequence[Ints], selection: dict[str, Any], where: str) -> Ints:
     """Vertices that satisfy every key of `selection`: (k,) int32, increasing, indices into surface.points.
 
     nodes: indices in the input file, from 0 (of a refined surface also what lies between, see carry_nodes);
@@ -40,13 +39,13 @@ def select(
     return np.flatnonzero(chosen).astype(np.int32)
 
 
-def _mask(surface: Surface, vertices: np.ndarray) -> np.ndarray:
+def _mask(surface: Surface, vertices: Ints) -> Flags:
     mask = np.zeros(len(surface.points), dtype=bool)
     mask[vertices] = True
     return mask
 
 
-def _integers(value: Any, where: str) -> np.ndarray:
+def _integers(value: Any, where: str) -> Ints:
     """A list of integers, or one."""
     values = value if isinstance(value, list | tuple | np.ndarray) else [value]
     if not all(isinstance(v, int | np.integer) and not isinstance(v, bool) for v in values):
@@ -54,9 +53,7 @@ def _integers(value: Any, where: str) -> np.ndarray:
     return np.array(values, dtype=np.int64)
 
 
-def inner_lines(
-    surface: Surface, topology: Topology, lines: Sequence[Sequence[int]], where: str
-) -> np.ndarray:
+def inner_lines(surface: Surface, topology: Topology, lines: Sequence[Sequence[int]], where: str) -> Ints:
     """(k, 2) vertices of the edges along lines, each through vertices of the input file (from 0) on the shortest ways
     over edges inside the surface. Raises InputError that names `where` (the key in the scene)."""
     if not len(lines):
@@ -85,13 +82,13 @@ def inner_lines(
     return np.array(edges, dtype=np.int64)
 
 
-def _nodes(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+def _nodes(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     if surface.coarser:
         return carry_nodes(surface, _nodes(surface.coarser, loops, value, where))
     return _mask(surface, _places(surface, _integers(value, where), where))
 
 
-def _places(surface: Surface, nodes: np.ndarray, where: str) -> np.ndarray:
+def _places(surface: Surface, nodes: Ints, where: str) -> Ints:
     """The surface's vertices that are `nodes` of its file."""
     outside = nodes[(nodes < 0) | (nodes >= surface.input_vertices)]
     if len(outside):
@@ -107,7 +104,7 @@ def _places(surface: Surface, nodes: np.ndarray, where: str) -> np.ndarray:
     return place
 
 
-def _group(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+def _group(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     names = value if isinstance(value, list | tuple) else [value]
     lines = surface.vertex_groups
     for name in names:
@@ -121,7 +118,7 @@ def _group(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str
     return inside
 
 
-def _box(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+def _box(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     try:
         box = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -133,7 +130,7 @@ def _box(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) 
     return ((surface.points >= box[0]) & (surface.points <= box[1])).all(axis=1)
 
 
-def _boundary(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+def _boundary(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     indices = _integers(value, where)
     if not len(loops):
         raise InputError(f"{where}: {surface.source} is closed, it has no boundary loop")
@@ -148,7 +145,7 @@ def _boundary(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: 
     )
 
 
-def _all(surface: Surface, loops: Sequence[np.ndarray], value: Any, where: str) -> np.ndarray:
+def _all(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     if value is not True:
         raise InputError(f"{where}: {value!r}, allowed: true")
     return np.ones(len(surface.points), dtype=bool)

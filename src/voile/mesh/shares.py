@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Array, Flags, Ints, Reals, sums
 from voile.errors import InputError
 from voile.mesh.surface import Surface
 from voile.mesh.topology import Topology
@@ -10,16 +11,16 @@ SHARES = ("length", "area", "vertices")
 
 
 def shares(
-    surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
-) -> tuple[np.ndarray, str]:
+    surface: Surface, topology: Topology, vertices: Ints, by: str | None, where: str
+) -> tuple[Reals, str]:
     """(n,) parts of 1 on the selected vertices (k,), zero elsewhere, and how they are shared; see `portions`."""
     found, by = portions(surface, topology, vertices, by, where)
     return found / found.sum(), by
 
 
 def portions(
-    surface: Surface, topology: Topology, vertices: np.ndarray, by: str | None, where: str
-) -> tuple[np.ndarray, str]:
+    surface: Surface, topology: Topology, vertices: Ints, by: str | None, where: str
+) -> tuple[Reals, str]:
     """(n,) what each of the selected vertices (k,) has of their length (m), area (m^2) or number, zero elsewhere, and
     which of them it is.
 
@@ -43,27 +44,27 @@ def portions(
     return found[by], by
 
 
-def _reaches(weight: np.ndarray, inside: np.ndarray) -> bool:
+def _reaches(weight: Array, inside: Flags) -> bool:
     return bool((weight[inside] > 0.0).all())
 
 
-def _weights(surface: Surface, topology: Topology, inside: np.ndarray, by: str) -> np.ndarray:
+def _weights(surface: Surface, topology: Topology, inside: Flags, by: str) -> Reals:
     x, n = surface.points, len(surface.points)
     if by == "vertices":
         return inside.astype(float)
     if by == "area":
         t = surface.triangles[inside[surface.triangles].all(axis=1)]
         twice = np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
-        return np.bincount(t.ravel(), np.repeat(twice / 6.0, 3), n)
+        return sums(t.ravel(), np.repeat(twice / 6.0, 3), n)
 
-    def along(edges: np.ndarray) -> np.ndarray:
+    def along(edges: Ints) -> Reals:
         length = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
-        return np.bincount(edges.ravel(), np.repeat(length / 2.0, 2), n)
+        return sums(edges.ravel(), np.repeat(length / 2.0, 2), n)
 
     return along(edges_of(topology, inside))
 
 
-def edges_of(topology: Topology, inside: np.ndarray) -> np.ndarray:
+def edges_of(topology: Topology, inside: Flags) -> Ints:
     """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it."""
     edges = topology.edges[inside[topology.edges].all(axis=1)]
     rim = topology.edges[topology.boundary_edges]

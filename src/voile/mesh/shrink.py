@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.mesh.surface import Rest
 
 PLANE = 1e-9  # of the size: points nearer to a plane are in it
 
 
-def shrunk(rest: Rest, factor: np.ndarray, where: str) -> Rest:
+def shrunk(rest: Rest, factor: Reals, where: str) -> Rest:
     """The rest shape with each triangle's edges times its factor (m,). Where factors differ each part gets vertices of
     its own, so that the rest shape must have no folds to lose: InputError, naming the keys, of one that has."""
     if (factor == factor[0]).all():

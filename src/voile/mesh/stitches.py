@@ -7,6 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 
 
@@ -18,10 +19,10 @@ class Stitches:
     several records as seams meet in it, and of a slave in turn (a chain): see sewing_matrix.
     """
 
-    slave: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    weight: np.ndarray
+    slave: Ints
+    first: Ints
+    second: Ints
+    weight: Reals
 
     def __len__(self) -> int:
         return len(self.slave)
@@ -29,7 +30,7 @@ class Stitches:
 
 def sewing_matrix(
     stitches: Stitches, count: int, name: Callable[[int], str] = "stitch {}".format
-) -> tuple[sparse.csr_matrix, np.ndarray]:
+) -> tuple[sparse.csr_matrix, Ints]:
     """Elimination of all stitches of a mesh of `count` vertices: x = P x[free].
 
     Returns P (count, f) in CSR form, whose rows are non-negative and sum to 1, and the free vertices (f,)
@@ -76,7 +77,7 @@ def sewing_matrix(
     return sparse.csr_matrix(matrix[label]), free.astype(np.int32)
 
 
-def join(stitches: Stitches, count: int) -> tuple[np.ndarray, np.ndarray]:
+def join(stitches: Stitches, count: int) -> tuple[Ints, Ints]:
     """Vertices made one by the stitches: (count,) smallest vertex joined to each; the (k,) records that hang.
 
     A hanging record whose two ends are joined is itself a join, so this repeats until nothing changes.
@@ -106,9 +107,7 @@ def circular(stitches: Stitches, count: int) -> int:
     return int((component[slave] == component[end]).sum())
 
 
-def _refuse_cycle(
-    step: sparse.csr_matrix, first_of: np.ndarray, hangs: np.ndarray, name: Callable[[int], str]
-) -> None:
+def _refuse_cycle(step: sparse.csr_matrix, first_of: Ints, hangs: Ints, name: Callable[[int], str]) -> None:
     _, component = connected_components(step, connection="strong")
     cyclic = np.flatnonzero((np.bincount(component)[component] > 1) | (step.diagonal() != 0))
     if len(cyclic):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError
 from voile.mesh.checks import check_coordinates, check_triangles, flat_triangles, orient, sew
 from voile.mesh.guards import check_xdmf, ending, refuse_references
@@ -39,35 +40,35 @@ class Surface:
     (e, 2) of them. Its input_vertex counts those on from the file's.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
-    group: np.ndarray
+    points: Reals
+    triangles: Ints
+    group: Ints
     group_names: tuple[str, ...]
-    texture: np.ndarray | None
-    texture_triangles: np.ndarray | None
+    texture: Reals | None
+    texture_triangles: Ints | None
     stitches: Stitches | None
-    input_vertex: np.ndarray
+    input_vertex: Ints
     input_vertices: int
-    input_triangle: np.ndarray
+    input_triangle: Ints
     input_triangles: int
     notes: tuple[str, ...]
     source: str
     coarser: Surface | None = None
-    ends: np.ndarray | None = None
+    ends: Ints | None = None
 
     @property
     def coarsest(self) -> Surface:
         """The surface as it is in the file."""
         return self.coarser.coarsest if self.coarser else self
 
-    def carry(self, points: np.ndarray, levels: int | None = None) -> np.ndarray:
+    def carry(self, points: Reals, levels: int | None = None) -> Reals:
         """Points (n, 3) of this surface from those of the one `levels` refinements before, by default the file's."""
         if self.coarser is None or self.ends is None or levels == 0:
             return points
         points = self.coarser.carry(points, None if levels is None else levels - 1)
         return np.concatenate([points, points[self.ends].mean(axis=1)])
 
-    vertex_groups: dict[str, np.ndarray] = field(default_factory=dict)
+    vertex_groups: dict[str, Ints] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class Rest:
     flat: the points are plane panels (z = 0), whose numbering may differ from the surface's along seams.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
+    points: Reals
+    triangles: Ints
     flat: bool
 
 
@@ -125,7 +126,7 @@ def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True
     )
 
 
-def _repairs(flip: np.ndarray, keep: np.ndarray, used: np.ndarray) -> list[str]:
+def _repairs(flip: Flags, keep: Flags, used: Flags) -> list[str]:
     notes = []
     if flip.any():
         notes.append(f"{flip.sum()} of {len(flip)} triangles flipped for a consistent orientation")
@@ -197,12 +198,12 @@ def _check_same_triangles(raw: RawMesh, surface: Surface) -> None:
         )
 
 
-def _flipped(triangles: np.ndarray, flip: np.ndarray) -> np.ndarray:
+def _flipped(triangles: Ints, flip: Flags) -> Ints:
     """Triangles (m, 3) int32 with the last two corners swapped where `flip`."""
     return np.ascontiguousarray(np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles), dtype=np.int32)
 
 
-def read_body(path: str | Path | RawMesh, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def read_body(path: str | Path | RawMesh, scale: float = 1.0) -> tuple[Reals, Ints]:
     """Points (n, 3) m and triangles (m, 3) of a body, which may have holes, pieces and double edges; triangles
     without area are dropped. Raises InputError for a file that cannot be read or has no others."""
     raw = read_raw(path, scale)
@@ -307,7 +308,7 @@ def _of_meshio(path: Path, mesh: meshio.Mesh) -> RawMesh:
     )
 
 
-def _vertex_groups(mesh: meshio.Mesh) -> dict[str, np.ndarray]:
+def _vertex_groups(mesh: meshio.Mesh) -> dict[str, Ints]:
     """Vertices of the physical points and lines that a Gmsh file names, and of the point sets of other formats."""
     found = {name: [np.asarray(members, dtype=np.int64).ravel()] for name, members in mesh.point_sets.items()}
     names = {tuple(int(i) for i in key): name for name, key in mesh.field_data.items() if np.size(key) == 2}
@@ -319,10 +320,10 @@ def _vertex_groups(mesh: meshio.Mesh) -> dict[str, np.ndarray]:
     return {name: np.unique(np.concatenate(parts)).astype(np.int64) for name, parts in found.items()}
 
 
-def _group_tags(mesh: meshio.Mesh) -> list[np.ndarray]:
+def _group_tags(mesh: meshio.Mesh) -> list[Ints]:
     """Integer group tag of every cell, block by block: from cell sets, else the first known cell data."""
     sets = {name: s for name, s in mesh.cell_sets.items() if not name.startswith("gmsh:")}
-    tags = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
+    tags: list[Ints] = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
     if sets:
         for number, members in enumerate(sets.values(), 1):
             for tag, member in zip(tags, members, strict=True):

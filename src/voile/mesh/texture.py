@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.mesh.surface import Rest, Surface
 
 FLAT = 1e-12  # of the square of a triangle's edge in the texture: no area
 
 
-def texture_direction(rest: Rest, surface: Surface, coordinate: str, key: str) -> np.ndarray:
+def texture_direction(rest: Rest, surface: Surface, coordinate: str, key: str) -> Reals:
     """(m, 3) unit vectors in the rest triangles' planes along which a texture coordinate, u or v, grows and the other
     stays. Raises InputError, naming the key, without texture coordinates or where a triangle has no area in them."""
     if surface.texture is None or surface.texture_triangles is None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
+
 
 @dataclass(frozen=True)
 class Topology:
@@ -19,18 +21,18 @@ class Topology:
     side, -1 on the boundary.
     """
 
-    edges: np.ndarray
-    triangle_edges: np.ndarray
-    signs: np.ndarray
-    across: np.ndarray
+    edges: Ints
+    triangle_edges: Ints
+    signs: Ints
+    across: Ints
 
     @property
-    def boundary_edges(self) -> np.ndarray:
+    def boundary_edges(self) -> Ints:
         """(b,) indices of the edges with one triangle only."""
         return np.sort(self.triangle_edges[self.across < 0])
 
 
-def build_topology(triangles: np.ndarray) -> Topology:
+def build_topology(triangles: Ints) -> Topology:
     """Topology of an edge-manifold, consistently oriented mesh `triangles` (m, 3)."""
     tri = np.asarray(triangles, dtype=np.int64)
     start, end = tri[:, [1, 2, 0]].ravel(), tri[:, [2, 0, 1]].ravel()
@@ -52,7 +54,7 @@ def build_topology(triangles: np.ndarray) -> Topology:
     return Topology(edges, edge_of.reshape(shape), signs.reshape(shape), across.reshape(shape))
 
 
-def boundary_loops(triangles: np.ndarray, topology: Topology, points: np.ndarray) -> list[np.ndarray]:
+def boundary_loops(triangles: Ints, topology: Topology, points: Reals) -> list[Ints]:
     """Closed boundary loops as vertex indices in order, longest (in metres) first.
 
     At a pinch vertex (two loops touching) the walk turns into the edge that belongs to the same fan of
@@ -78,7 +80,7 @@ def boundary_loops(triangles: np.ndarray, topology: Topology, points: np.ndarray
     return sorted(loops, key=length, reverse=True)
 
 
-def _next_boundary(half: int, across: np.ndarray) -> int:
+def _next_boundary(half: int, across: Ints) -> int:
     """The boundary half edge that starts where `half` ends, met by turning through the fan of triangles."""
     triangle, corner = divmod(half, 3)
     while True:

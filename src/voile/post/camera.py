@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 
 VIEWS = {
@@ -21,7 +22,7 @@ FLAT = 0.12  # a shape this much thinner than wide is seen obliquely
 MARGINS = (0.06, 0.34, 0.06, 0.16)
 
 
-def _directions(count: int) -> np.ndarray:
+def _directions(count: int) -> Reals:
     """(count, 3) unit vectors spread evenly over the sphere, on Fibonacci's spiral."""
     k = np.arange(count) + 0.5
     height, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
@@ -38,9 +39,9 @@ DIRECTIONS = _directions(
 class Camera:
     """Position and focus (m), up vector, vertical view angle in degrees."""
 
-    position: np.ndarray
-    focus: np.ndarray
-    up: np.ndarray
+    position: Reals
+    focus: Reals
+    up: Reals
     angle: float
 
 
@@ -52,7 +53,7 @@ def parse_scene(text: str) -> dict[str, Any]:
         return {}
 
 
-def upright(scene: dict[str, Any]) -> np.ndarray:
+def upright(scene: dict[str, Any]) -> Reals:
     """Unit vector against gravity along the nearest axis; y, as garments come, where there is no gravity."""
     gravity = np.asarray(scene.get("loads", {}).get("gravity", (0.0, -9.81, 0.0)), dtype=float)
     axis = int(np.argmax(np.abs(gravity))) if gravity.any() else 1
@@ -61,14 +62,12 @@ def upright(scene: dict[str, Any]) -> np.ndarray:
     return up
 
 
-def outermost(points: np.ndarray) -> np.ndarray:
+def outermost(points: Reals) -> Reals:
     """(k, 3) those of points (n, 3) that lie furthest in one of DIRECTIONS: a film's frame needs no others."""
     return points[np.unique((points @ DIRECTIONS.T).argmax(axis=0))]
 
 
-def look(
-    points: np.ndarray, up: np.ndarray, view: str | tuple[float, float] | None, size: tuple[int, int]
-) -> Camera:
+def look(points: Reals, up: Reals, view: str | tuple[float, float] | None, size: tuple[int, int]) -> Camera:
     """Camera that shows all `points` (k, 3) m as large as the margins allow in a picture of `size` pixels.
 
     view: a name of VIEWS, (azimuth, elevation) in degrees from the front, or None: a garment is seen from the
@@ -96,7 +95,7 @@ def look(
     return _frame(points, right, above, -towards, angle, size)
 
 
-def _front(up: np.ndarray, extent: np.ndarray) -> np.ndarray:
+def _front(up: Reals, extent: Reals) -> Reals:
     """The horizontal axis the viewer is on: +z if y is up, -y if z is up; the other one for a deep shape."""
     axis = int(np.argmax(np.abs(up)))
     first, second = {0: ((2, 1.0), (1, 1.0)), 1: ((2, 1.0), (0, 1.0)), 2: ((1, -1.0), (0, 1.0))}[axis]
@@ -107,10 +106,10 @@ def _front(up: np.ndarray, extent: np.ndarray) -> np.ndarray:
 
 
 def _frame(
-    points: np.ndarray,
-    right: np.ndarray,
-    above: np.ndarray,
-    forward: np.ndarray,
+    points: Reals,
+    right: Reals,
+    above: Reals,
+    forward: Reals,
     angle: float,
     size: tuple[int, int],
 ) -> Camera:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.results import Body, Result
 
 STATES = {"free": "#d3dbe3", "stick": "#2b6ca3", "slip": "#e58a3c"}  # in the order of the field `contact`
@@ -15,7 +16,7 @@ FAINT = 0.02  # of the largest: reactions that show no arrow
 LARGE = 2.0  # sizes of the shape: bodies larger than this run out of the picture
 
 
-def surfaces(result: Result, step: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def surfaces(result: Result, step: int) -> list[tuple[Reals, Ints]]:
     """Points (n, 3) m and triangles (m, 3) of every obstacle where it is at a step."""
     return [
         (body.points @ place[:3, :3].T + place[:3, 3], body.triangles)
@@ -23,13 +24,13 @@ def surfaces(result: Result, step: int) -> list[tuple[np.ndarray, np.ndarray]]:
     ]
 
 
-def framed(points: np.ndarray, bodies: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def framed(points: Reals, bodies: list[tuple[Reals, Ints]]) -> Reals:
     """(k, 3) what a picture shows for certain: the shape `points` (n, 3) and the bodies not much larger than it."""
     most = LARGE * np.ptp(points, axis=0).max()
     return np.concatenate([points, *(p for p, _ in bodies if np.ptp(p, axis=0).max() < most)])
 
 
-def turning_marks(result: Result, steps: np.ndarray) -> list[np.ndarray | None]:
+def turning_marks(result: Result, steps: Ints) -> list[Reals | None]:
     """For every obstacle that turns between the steps (k,): (n,) numbers at its points whose sign changes from one
     octant about its middle to the next, so that turning shows. None for the others."""
     turns = np.array([result.placements(step)[:, :3, :3] for step in steps])
@@ -41,7 +42,7 @@ def turning_marks(result: Result, steps: np.ndarray) -> list[np.ndarray | None]:
     ]
 
 
-def _octants(body: Body) -> np.ndarray:
+def _octants(body: Body) -> Reals:
     low, high = body.points.min(axis=0), body.points.max(axis=0)
     away = (body.points - (low + high) / 2) / np.where(high > low, high - low, 1.0)
     flat = high - low <= 0.0
@@ -50,8 +51,8 @@ def _octants(body: Body) -> np.ndarray:
 
 def draw_bodies(
     plotter: Any,
-    bodies: list[tuple[np.ndarray, np.ndarray]],
-    marks: Sequence[np.ndarray | None] | None = None,
+    bodies: list[tuple[Reals, Ints]],
+    marks: Sequence[Reals | None] | None = None,
 ) -> None:
     """A little further from the eye than they are: where the shape touches it is the shape that shows. Plain but for
     marks: numbers at the points, whose signs have two shades."""
@@ -74,7 +75,7 @@ def draw_bodies(
         actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 400.0)
 
 
-def draw_reactions(plotter: Any, points: np.ndarray, reaction: np.ndarray) -> None:
+def draw_reactions(plotter: Any, points: Reals, reaction: Reals) -> None:
     """Arrows along the forces on the shell at its vertices, in proportion; the few largest are cut to LONGEST."""
     import pyvista
 
@@ -90,13 +91,13 @@ def draw_reactions(plotter: Any, points: np.ndarray, reaction: np.ndarray) -> No
     plotter.add_mesh(tails.glyph(orient="along", scale="length", geom=arrow), color=ARROW, ambient=0.4)
 
 
-def vertex_cells(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:
+def vertex_cells(points: Reals, triangles: Ints, normals: Reals) -> tuple[Array, ...]:
     """The barycentric cells of the vertices: each triangle's three quadrilaterals around its corners, so that a state
     per vertex is drawn without mixing neighbours'. Returns points (7m, 3), normals (7m, 3), quads (3m, 4) and
     their vertex (3m,)."""
     m = len(triangles)
 
-    def seven(values: np.ndarray) -> np.ndarray:
+    def seven(values: Reals) -> Reals:
         """Corners, midpoints of the sides 01, 12, 20, centre of each triangle."""
         corner = values[triangles]
         middle = (corner + np.roll(corner, -1, axis=1)) / 2
@@ -109,10 +110,10 @@ def vertex_cells(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray)
 
 def draw_states(
     plotter: Any,
-    points: np.ndarray,
-    triangles: np.ndarray,
-    normals: np.ndarray,
-    state: np.ndarray,
+    points: Reals,
+    triangles: Ints,
+    normals: Reals,
+    state: Ints,
     bar: dict[str, Any],
 ) -> None:
     """The shape with every vertex' cell in its state's colour; bar: PyVista's arguments of the colour bar, which says

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.post.contact import surfaces
 from voile.post.pattern_dxf import write_dxf
@@ -179,7 +180,7 @@ def _glb(document: dict[str, Any], body: bytes) -> bytes:
     return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
-def _vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _vertex_normals(points: Reals, triangles: Ints) -> Reals:
     """(n, 3) unit normals, weighted by area; (0, 0, 1) where a vertex has none."""
     corners = points[triangles]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

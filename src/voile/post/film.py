@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.post import contact, swing
 from voile.post.camera import look, outermost, parse_scene, upright
@@ -129,7 +130,7 @@ def _followed(result: Result, scene: dict[str, Any]) -> str:
     return PATHS[task]
 
 
-def _steps_in_time(result: Result, fps: float, speed: float | None) -> np.ndarray:
+def _steps_in_time(result: Result, fps: float, speed: float | None) -> Ints:
     """(frames,) the stored step nearest to each frame's time."""
     speed = 1.0 if speed is None else speed
     if not 0 < speed < np.inf:
@@ -146,7 +147,7 @@ def _steps_in_time(result: Result, fps: float, speed: float | None) -> np.ndarra
     return np.searchsorted((times[1:] + times[:-1]) / 2, at)
 
 
-def _steps_along_load(result: Result, speed: float | None) -> np.ndarray:
+def _steps_along_load(result: Result, speed: float | None) -> Ints:
     if speed is not None:
         raise InputError(
             f"{result.path}: a load path has no time and so no speed; fps says how fast it is shown"
@@ -155,7 +156,7 @@ def _steps_along_load(result: Result, speed: float | None) -> np.ndarray:
 
 
 def _titles(
-    result: Result, scene: dict[str, Any], shown: np.ndarray, along: str, speed: float | None
+    result: Result, scene: dict[str, Any], shown: Ints, along: str, speed: float | None
 ) -> dict[int, str]:
     """What each step's frame says: as many decimals as tell the frames apart."""
     values = result.values[shown]
@@ -173,12 +174,12 @@ class _Picture:
     def __init__(
         self,
         result: Result,
-        shown: np.ndarray,
+        shown: Ints,
         titles: dict[int, str],
         field: str,
         view: str | tuple[float, float] | None,
         size: tuple[int, int],
-        up: np.ndarray,
+        up: Reals,
     ):
         self.result, self.titles, self.field, self.size = result, titles, field, size
         everything = [
@@ -192,15 +193,15 @@ class _Picture:
         )
         self.marks = contact.turning_marks(result, np.unique([self._stored(k) for k in shown]))
         self.plotter = open_plotter(size)
-        self.last: tuple[int, np.ndarray] | None = None
+        self.last: tuple[int, Ints] | None = None
 
-    def __call__(self, step: int) -> np.ndarray:
+    def __call__(self, step: int) -> Ints:
         """(height, width, 3) uint8."""
         if self.last is None or self.last[0] != step:
             self.last = step, self._draw(step)
         return self.last[1]
 
-    def _draw(self, step: int) -> np.ndarray:
+    def _draw(self, step: int) -> Ints:
         plotter, result = self.plotter, self.result
         plotter.clear_actors()
         plotter.scalar_bars.clear()
@@ -217,7 +218,7 @@ class _Picture:
         """The result's step of a frame."""
         return step
 
-    def _points(self, step: int) -> np.ndarray:
+    def _points(self, step: int) -> Reals:
         return self.result.points(step)
 
     def close(self) -> None:
@@ -230,6 +231,6 @@ class _Swinging(_Picture):
     def _stored(self, step: int) -> int:
         return self.result.n_steps - 1
 
-    def _points(self, step: int) -> np.ndarray:
+    def _points(self, step: int) -> Reals:
         phase = np.sin(2.0 * np.pi * step / len(self.titles))
         return swing.displaced(self.result, self.field, phase=float(phase))

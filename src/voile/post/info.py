@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.post.quantities import available, quantity
 from voile.results import read_result, read_summary
 
@@ -87,7 +88,7 @@ def _support(support: dict[str, Any]) -> str:
     )
 
 
-def _vector(x: Sequence[float] | np.ndarray) -> str:
+def _vector(x: Sequence[float] | Reals) -> str:
     """Four digits; components that are round-off of the largest are 0."""
     x = np.asarray(x, dtype=float)
     shown = np.where(np.abs(x) > ROUND_OFF * np.abs(x).max(), x, 0.0)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.post.pattern_svg import fabric_corners, name_height, seam_labels, slope
 from voile.results import Pattern, Piece
@@ -69,11 +70,11 @@ def _draw(block, piece: Piece) -> None:
     middle = 1e3 * piece.grain.mean(axis=0)
     lines = (f"Piece Name: {piece.name}", "Quantity: 1")
     letters = min(1.0, 1e3 * name_height(piece, len(lines[0])) / LETTER)
-    for k, line in enumerate(lines):
-        _write(block, middle - np.array([0.0, 1.5 * k * letters * LETTER]), line, letters)
+    for k, text in enumerate(lines):
+        _write(block, middle - np.array([0.0, 1.5 * k * letters * LETTER]), text, letters)
 
 
-def _write(space, at: np.ndarray | list[float], text: str, letters: float = 1.0, angle: float = 0.0) -> None:
+def _write(space, at: Reals | list[float], text: str, letters: float = 1.0, angle: float = 0.0) -> None:
     """Text centred at a point (mm), turned by an angle (degrees)."""
     from ezdxf.enums import TextEntityAlignment
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.post.pattern_svg import (
     CLOTH,
@@ -76,7 +77,7 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _draw_piece(axes: Any, piece: Piece, share: np.ndarray, limit: float, letter: float) -> Any:
+def _draw_piece(axes: Any, piece: Piece, share: Reals, limit: float, letter: float) -> Any:
     """Cloth, distortion (f,) and lines of a piece; returns what the colour bar needs."""
     for k, ring in enumerate(piece.cut):
         axes.fill(*ring.T, facecolor="white" if k else CLOTH, edgecolor=INK, linewidth=0.9)

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.results import Pattern, Piece, SewnSeam
 
@@ -67,7 +68,7 @@ def _keys(pattern: Pattern) -> list[str]:
 class _Page:
     """The drawing: metres, y up, become millimetres from the upper left corner, y down."""
 
-    def __init__(self, root: ElementTree.Element, low: np.ndarray, height: float, letter: float, size: float):
+    def __init__(self, root: ElementTree.Element, low: Reals, height: float, letter: float, size: float):
         self.low, self.height, self.letter = low, height, letter
         self.layers = {}
         for name, (number, colour, width) in LAYERS.items():
@@ -78,11 +79,11 @@ class _Page:
             layer = {"id": name, "data-layer": str(number), "stroke-linejoin": "round", **style}
             self.layers[name] = ElementTree.SubElement(root, "g", layer)
 
-    def millimetres(self, points: np.ndarray) -> np.ndarray:
+    def millimetres(self, points: Reals) -> Reals:
         x = 1e3 * np.reshape(points, (-1, 2)) - self.low
         return np.column_stack([x[:, 0], self.height - x[:, 1]]) + MARGIN
 
-    def path(self, layer: str, key: str, lines: list[np.ndarray], closed: bool = False, **style: str) -> None:
+    def path(self, layer: str, key: str, lines: list[Reals], closed: bool = False, **style: str) -> None:
         """One path of several polylines (metres)."""
         text = " ".join(
             "M "
@@ -92,7 +93,7 @@ class _Page:
         )
         ElementTree.SubElement(self.layers[layer], "path", {"id": f"{layer}-{key}", "d": text, **style})
 
-    def write(self, at: np.ndarray, text: str, letters: float, angle: float, **style: str) -> None:
+    def write(self, at: Reals, text: str, letters: float, angle: float, **style: str) -> None:
         """Text centred at a point (metres), turned by an angle (degrees)."""
         x, y = self.millimetres(at)[0]
         size = letters * self.letter
@@ -138,7 +139,7 @@ class _Page:
         ElementTree.SubElement(self.layers["text"], "text", note).text = f"{BAR:g} mm"
 
 
-def fabric_corners(pattern: Pattern) -> np.ndarray:
+def fabric_corners(pattern: Pattern) -> Reals:
     """(4, 2) corners of the fabric that the pieces lie on, (0, 2) without."""
     if pattern.fabric is None:
         return np.zeros((0, 2))
@@ -156,7 +157,7 @@ def name_height(piece: Piece, letters: int) -> float:
     return float(min(0.45 * width / (0.6 * letters), 0.15 * height))
 
 
-def notch_lines(piece: Piece, length: float) -> list[np.ndarray]:
+def notch_lines(piece: Piece, length: float) -> list[Reals]:
     """A stroke (2, 2) for each notch: from the sew line through the seam allowance, where a snip does no harm, or
     without one inwards, `length` long (m)."""
     n = piece.notches
@@ -164,13 +165,13 @@ def notch_lines(piece: Piece, length: float) -> list[np.ndarray]:
     return [np.array([p, p + r * d]) for p, d, r in zip(n.points, n.inward, reaches, strict=True)]
 
 
-def arrows(line: np.ndarray, length: float) -> list[np.ndarray]:
+def arrows(line: Reals, length: float) -> list[Reals]:
     """Arrow heads (3, 2) at both ends of an upright line (2, 2), `length` long (m)."""
     head = length * np.array([[-0.35, -1.0], [0.0, 0.0], [0.35, -1.0]])
     return [line[1] + head, line[0] - head]
 
 
-def slope(inward: np.ndarray) -> float:
+def slope(inward: Reals) -> float:
     """Angle (degrees) of a text along a seam with this normal (2,), never upside down."""
     angle = float(np.degrees(np.arctan2(-inward[0], inward[1])))
     return (angle + 89.0) % 180.0 - 89.0
@@ -187,7 +188,7 @@ def seam_texts(seam: SewnSeam, allowance: float) -> tuple[str, str]:
     )
 
 
-def seam_labels(pattern: Pattern) -> Iterator[tuple[int, str, np.ndarray, np.ndarray, float]]:
+def seam_labels(pattern: Pattern) -> Iterator[tuple[int, str, Reals, Reals, float]]:
     """For both sides of every seam the piece, the seam's label, the point of the side where it is written, the unit
     normal (2,) there, into the piece, and the height (m) of letters that there is room for."""
     for seam in pattern.seams:

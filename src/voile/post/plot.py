@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.post.camera import parse_scene
 from voile.post.render import INK, LINE
@@ -88,7 +89,7 @@ def _draw_panel(axes: Any, panel: list[Series], title: str) -> None:
     axes.tick_params(colors=INK)
 
 
-def _lines(series: Series) -> list[tuple[str, Series, np.ndarray]]:
+def _lines(series: Series) -> list[tuple[str, Series, Reals]]:
     """Label, series and values (k,) of each of its lines."""
     if series.values.ndim == 1:
         return [(series.name.replace("_", " "), series, series.values)]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.results import Result
 
 
@@ -13,7 +14,7 @@ class Quantity:
 
     name: str
     location: str
-    values: np.ndarray
+    values: Array
     unit: str
     title: str
 
@@ -54,9 +55,7 @@ def available(result: Result) -> list[str]:
     return sorted({*DERIVED, *result.point_fields, *result.cell_fields})
 
 
-def largest_strain(
-    points: np.ndarray, triangles: np.ndarray, rest: np.ndarray, rest_triangles: np.ndarray
-) -> np.ndarray:
+def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: Ints) -> Reals:
     """(m,) larger principal Green strain (F^T F - I)/2, F from the flat rest triangle to the one in space.
 
     points (n, 3), triangles (m, 3), rest (nr, 3), rest_triangles (m, 3). A rest triangle without area has
@@ -77,7 +76,7 @@ def largest_strain(
     return ((c11 + c22) / 2 + np.hypot((c11 - c22) / 2, c12) - 1) / 2
 
 
-def hinges(triangles: np.ndarray) -> np.ndarray:
+def hinges(triangles: Ints) -> Ints:
     """(k, 4): vertices i, j of each inner edge and the triangles left and right of it, seen from i to j."""
     tri = np.asarray(triangles, dtype=np.int64)
     start, end = tri[:, [0, 1, 2]].ravel(), tri[:, [1, 2, 0]].ravel()
@@ -91,7 +90,7 @@ def hinges(triangles: np.ndarray) -> np.ndarray:
     return np.column_stack([start, end, owner, owner[half]])[inner]
 
 
-def hinge_angles(points: np.ndarray, triangles: np.ndarray, hinge: np.ndarray) -> np.ndarray:
+def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
     """(k,) signed angle between the normals of each hinge, rad; positive where the surface bulges out."""
     corners = points[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -102,7 +101,7 @@ def hinge_angles(points: np.ndarray, triangles: np.ndarray, hinge: np.ndarray) -
     return np.arctan2((turn * axis).sum(1) / np.where(length > 0, length, 1), (left * right).sum(1))
 
 
-def boundary_edges(triangles: np.ndarray) -> np.ndarray:
+def boundary_edges(triangles: Ints) -> Ints:
     """(b, 2) vertex pairs of the edges with one triangle only."""
     tri = np.asarray(triangles, dtype=np.int64)
     pairs = tri[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -111,7 +110,7 @@ def boundary_edges(triangles: np.ndarray) -> np.ndarray:
     return np.column_stack(np.divmod(keys[count == 1], n))
 
 
-def vertex_curvature(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def vertex_curvature(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
     """(n,) mean curvature and (n,) principal curvature of largest magnitude, 1/m, positive for a sphere.
 
     The curvature tensor of Cohen-Steiner & Morvan (2003): the sum of angle * length * t t^T over a vertex'
@@ -147,6 +146,6 @@ def vertex_curvature(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     return eigenvalues.sum(axis=1) / 2, extreme
 
 
-def _scatter(index: np.ndarray, values: np.ndarray, n: int) -> np.ndarray:
+def _scatter(index: Ints, values: Reals, n: int) -> Reals:
     """(n, c) sums of the rows `values` (k, c) at `index` (k entries)."""
     return np.column_stack([np.bincount(index.ravel(), column, n) for column in values.T])

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from voile.arrays import Ints
 from voile.errors import InputError
 
-Draw = Callable[[int], np.ndarray]  # (height, width, 3) uint8 of a frame
+Draw = Callable[[int], Ints]  # (height, width, 3) uint8 of a frame
 Tell = Callable[[int, int], None] | None  # told how many frames are drawn of how many
 GIF_FASTEST = 50.0  # 1/s: viewers slow down gif frames of less than 20 ms
 CRF, WEBP_QUALITY = "18", 85  # text has clean edges: H.264's constant quality (0 without loss to 51), of 100
@@ -54,7 +55,7 @@ def _told(draw: Draw, count: int, on_frame: Tell) -> Draw:
     """Draws, and tells of frames not drawn before."""
     done: set[int] = set()
 
-    def drawn(frame: int) -> np.ndarray:
+    def drawn(frame: int) -> Ints:
         done.add(frame)
         if on_frame:
             on_frame(len(done), count)

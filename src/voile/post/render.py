@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.post import contact, swing
 from voile.post.camera import Camera, look, parse_scene, upright
@@ -115,7 +116,7 @@ def check_field(result: Result, field: str) -> None:
         raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
 
 
-def _rest(result: Result) -> np.ndarray:
+def _rest(result: Result) -> Reals:
     """(n, 3) rest positions; InputError where the rest shape has vertices of its own."""
     if result.rest_triangles is not result.triangles and not np.array_equal(
         result.rest_triangles, result.triangles
@@ -148,15 +149,15 @@ def aim(plotter: Any, camera: Camera) -> None:
     plotter.reset_camera_clipping_range()
 
 
-def magnitude(shown: Quantity) -> np.ndarray:
+def magnitude(shown: Quantity) -> Array:
     """The numbers that colours stand for: values, and lengths of vectors."""
     return shown.values if shown.values.ndim == 1 else np.linalg.norm(shown.values, axis=1)
 
 
 def draw_shape(
     plotter: Any,
-    points: np.ndarray,
-    triangles: np.ndarray,
+    points: Reals,
+    triangles: Ints,
     shown: Quantity,
     size: tuple[int, int],
     colours: tuple[tuple[float, float], str],
@@ -186,9 +187,7 @@ def draw_shape(
     )  # fmt: skip
 
 
-def _draw_start(
-    plotter: Any, start: np.ndarray, points: np.ndarray, triangles: np.ndarray, ghost: bool
-) -> None:
+def _draw_start(plotter: Any, start: Reals, points: Reals, triangles: Ints, ghost: bool) -> None:
     lines = boundary_edges(triangles)
     if len(lines) == 0:  # a closed shape shows its sharp edges instead; on an open one they are stray strokes
         hinge = hinges(triangles)
@@ -198,9 +197,7 @@ def _draw_start(
         plotter.add_mesh(_surface(start, triangles), color="#8fa3b8", opacity=0.12, lighting=False)
 
 
-def _draw_lines(
-    plotter: Any, points: np.ndarray, pairs: np.ndarray, colour: str, width: float, opacity: float
-) -> None:
+def _draw_lines(plotter: Any, points: Reals, pairs: Ints, colour: str, width: float, opacity: float) -> None:
     import pyvista
 
     if len(pairs) == 0:
@@ -209,7 +206,7 @@ def _draw_lines(
     plotter.add_mesh(lines, color=colour, line_width=width, opacity=opacity, lighting=False)
 
 
-def colour_scale(values: np.ndarray) -> tuple[tuple[float, float], str]:
+def colour_scale(values: Array) -> tuple[tuple[float, float], str]:
     """Range and colour map: symmetric about zero for both signs; the outermost percent saturates."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
@@ -261,7 +258,7 @@ def write_title(plotter: Any, title: str, size: tuple[int, int]) -> None:
     )
 
 
-def _surface(points: np.ndarray, triangles: np.ndarray) -> pyvista.PolyData:
+def _surface(points: Reals, triangles: Ints) -> pyvista.PolyData:
     import pyvista
 
     return pyvista.PolyData.from_regular_faces(points, triangles)

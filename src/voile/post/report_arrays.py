@@ -5,9 +5,13 @@ from __future__ import annotations
 import base64
 import zlib
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+
+from voile.arrays import Reals
+
+Unsigned: TypeAlias = np.ndarray[Any, np.dtype[np.unsignedinteger[Any]]]
 
 NO_VALUE = 255  # in place of numbers that are not finite
 LEVELS = 254  # colours between the ends of a scale, one byte a value
@@ -21,7 +25,7 @@ class Arrays:
     parts: list[bytes] = field(default_factory=list)
     length: int = 0
 
-    def add(self, values: np.ndarray) -> dict[str, Any]:
+    def add(self, values: Unsigned) -> dict[str, Any]:
         """values (rows, columns) unsigned: rows are followed by rows like them, the first by its columns."""
         difference = values.copy()
         difference[1:] -= values[:-1]
@@ -37,7 +41,7 @@ class Arrays:
         return base64.b64encode(zlib.compress(b"".join(self.parts), 6)).decode("ascii")
 
 
-def places(points: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+def places(points: Reals) -> tuple[Unsigned, dict[str, Any]]:
     """(rows, n, 3) m as (rows, 3n) 16-bit numbers, all x first, with the corner and spacing of their grid (m)."""
     corner = points.min(axis=(0, 1))
     spacing = float((points.max(axis=(0, 1)) - corner).max() or 1.0) / GRID
@@ -46,7 +50,7 @@ def places(points: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
     return flat, {"corner": corner.tolist(), "spacing": spacing}
 
 
-def levels(values: np.ndarray, low: float, high: float) -> np.ndarray:
+def levels(values: Reals, low: float, high: float) -> Unsigned:
     """Values as 0 (low and below) to LEVELS (high and above); NO_VALUE where there is none."""
     share = (values - low) / (high - low)
     known = np.isfinite(share)

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from html import escape
 from importlib import resources
 
-import numpy as np
-
+from voile.arrays import Reals
 from voile.post.camera import parse_scene
 from voile.post.info import rows
 from voile.post.pattern_svg import write_svg
@@ -142,7 +141,7 @@ class Page:
         place, (low, high) = axes.get_position(), axes.get_xlim()
         return _svg(text), (place.x0, place.width, low, high)
 
-    def _cursor(self, values: np.ndarray) -> list[float]:
+    def _cursor(self, values: Reals) -> list[float]:
         """Where each step is on the plots' axis, as shares of the picture's width."""
         if self.axis is None:
             return []

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.post import contact
 from voile.post.camera import VIEWS, look, outermost, parse_scene, upright
 from voile.post.film import SCALED_BY
@@ -32,9 +33,9 @@ class Part:
     """What of the mesh a page shows: vertices (k,) of the result, triangles (j, 3) of theirs, and the triangle (j,) of
     the result whose values each of them shows."""
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    owners: np.ndarray
+    vertices: Ints
+    triangles: Ints
+    owners: Ints
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Shown:
 
     meta: dict[str, Any]
     arrays: str
-    steps: np.ndarray
+    steps: Ints
     part: Part
 
     @cached_property
@@ -86,7 +87,7 @@ def _thinned(result: Result, part: Part, share: float) -> Part:
     return Part(vertices, triangles, owners)
 
 
-def _decimated(points: np.ndarray, triangles: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _decimated(points: Reals, triangles: Ints, share: float) -> tuple[Ints, Ints]:
     """Vertices (k,) that stay and triangles (j, 3) of theirs, about a share of those that there were."""
     import pyvista
 
@@ -122,7 +123,7 @@ def _encode(result: Result, part: Part, count: int) -> Shown:
     return Shown(meta, arrays.text(), steps, part)
 
 
-def _still(arrays: Arrays, points: np.ndarray, triangles: np.ndarray) -> dict[str, Any]:
+def _still(arrays: Arrays, points: Reals, triangles: Ints) -> dict[str, Any]:
     """A mesh that no step changes."""
     flat, grid = places(points[None])
     return {"data": arrays.add(flat), **grid, "triangles": arrays.add(triangles.reshape(1, -1).astype("<u4"))}
@@ -137,7 +138,7 @@ def _rest(result: Result, part: Part, arrays: Arrays) -> dict[str, Any] | None:
     return _still(arrays, result.rest, result.rest_triangles)
 
 
-def _field(result: Result, part: Part, name: str, steps: np.ndarray, arrays: Arrays) -> dict[str, Any]:
+def _field(result: Result, part: Part, name: str, steps: Ints, arrays: Arrays) -> dict[str, Any]:
     """A field at the steps: colour scale as in films, smallest and largest at each step."""
     rows, extremes = [], []
     for k in steps:
@@ -167,7 +168,7 @@ def _colours(name: str) -> list[str]:
     return [to_hex(colour) for colour in colormaps[name](np.linspace(0, 1, 256))]
 
 
-def _reactions(result: Result, part: Part, steps: np.ndarray, arrays: Arrays) -> dict[str, Any] | None:
+def _reactions(result: Result, part: Part, steps: Ints, arrays: Arrays) -> dict[str, Any] | None:
     """Arrows along the forces on the shell: (steps, 3 k), all x first, as shares of the longest arrow (m)."""
     if "reaction" not in result.point_fields:
         return None
@@ -183,7 +184,7 @@ def _reactions(result: Result, part: Part, steps: np.ndarray, arrays: Arrays) ->
     return {"data": arrays.add(whole.view("<u2")), "longest": longest / ARROW_LEVELS}
 
 
-def _bodies(result: Result, steps: np.ndarray, arrays: Arrays) -> list[dict[str, Any]]:
+def _bodies(result: Result, steps: Ints, arrays: Arrays) -> list[dict[str, Any]]:
     """The obstacles, placed anew at every step; marks make turning show."""
     placements = np.array([result.placements(int(k)) for k in steps])
     found = []
@@ -202,7 +203,7 @@ def _bodies(result: Result, steps: np.ndarray, arrays: Arrays) -> list[dict[str,
     return found
 
 
-def _cameras(result: Result, steps: np.ndarray, up: np.ndarray) -> dict[str, Any]:
+def _cameras(result: Result, steps: Ints, up: Reals) -> dict[str, Any]:
     """Where to look from; the first is the view that pictures have."""
     seen = [outermost(contact.framed(result.points(int(k)), contact.surfaces(result, int(k)))) for k in steps]
     points = np.concatenate([outermost(result.start), *seen])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.results import Result
 from voile.results.history import read_history
@@ -48,8 +49,8 @@ class Series:
 
     name: str
     unit: str
-    at: np.ndarray
-    values: np.ndarray
+    at: Reals
+    values: Reals
 
 
 class Recorded:
@@ -57,7 +58,7 @@ class Recorded:
 
     def __init__(self, result: Result, in_time: bool):
         self.result = result
-        self._makers: dict[str, Callable[[], np.ndarray]] = {"max_displacement": self._max_displacement}
+        self._makers: dict[str, Callable[[], Reals]] = {"max_displacement": self._max_displacement}
         if "reaction" in result.point_fields:
             self._makers["contact_force"] = self._contact_force
         self._columns = {name: (result.values, figures) for name, figures in result.figures().items()}
@@ -113,12 +114,12 @@ class Recorded:
             np.array([result.field(field, k)[v] for k in steps]),
         )
 
-    def _max_displacement(self) -> np.ndarray:
+    def _max_displacement(self) -> Reals:
         result = self.result
         moved = (result.points(k) - result.start for k in range(result.n_steps))
         return np.array([np.linalg.norm(u, axis=1).max() for u in moved])
 
-    def _contact_force(self) -> np.ndarray:
+    def _contact_force(self) -> Reals:
         """What the shell gets in all: its contacts with itself are in balance."""
         return np.array([self.result.field("reaction", k).sum(axis=0) for k in range(self.result.n_steps)])
 
@@ -132,7 +133,7 @@ def unit(name: str) -> str:
     return "J" if is_energy(name) else UNITS.get(name, "")
 
 
-def _history(result: Result) -> dict[str, np.ndarray]:
+def _history(result: Result) -> dict[str, Reals]:
     """Columns of the figures of every step beside a result, none where a run wrote none."""
     path = result.path.with_name("history.h5")
     return read_history(path) if path.is_file() else {}

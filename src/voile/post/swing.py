@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.results import Result
 
 LARGEST = 0.1  # of the shape's size: the largest displacement drawn
@@ -14,7 +15,7 @@ def is_mode(field: str) -> bool:
     return re.fullmatch(r"mode_\d{3,}", field) is not None
 
 
-def displaced(result: Result, field: str, step: int = -1, phase: float = 1.0) -> np.ndarray:
+def displaced(result: Result, field: str, step: int = -1, phase: float = 1.0) -> Reals:
     """(n, 3) m: the points of a step, displaced by `phase` (-1 to 1) of what is drawn of a mode."""
     points = result.points(step)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
+from voile.arrays import Reals
 from voile.contact.contact import Contact
 from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
@@ -20,7 +19,7 @@ class AugmentedContact(Term):
     def energies(self, at: Point) -> dict[str, float]:
         return {"contact": self.contact.energy(at.positions, at.time, self.softness)}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.contact.force(at.positions, at.time, True, self.softness))
 
     def blocks(self, at: Point, kind: str) -> Blocks:
@@ -41,6 +40,6 @@ class ImpenetrableLayers(Term):
 
     contact: Contact
 
-    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+    def longest_step(self, at: Point, step: Reals, most: float) -> float:
         motion = most * step[: len(at.u)].reshape(-1, 3)
         return most * self.contact.free_share(at.positions, at.positions + motion)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.elastic import model_of
 from voile.errors import InputError
 from voile.problem.shell import Shell, area_vectors
@@ -9,7 +10,7 @@ from voile.problem.shell import Shell, area_vectors
 IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does
 
 
-def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
     """What holds the directors of both sides of every clamped edge: (k, 6) rows of half edge, flags conormal and at
     rest (see Clamp in elastic.hpp), unit vector; and the director angles (edges,) of the start shape.
 
@@ -62,7 +63,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[np.ndarray, np
     return np.column_stack([half, use_conormal, at_rest, vector]), angles
 
 
-def _lies_at_rest(shell: Shell, triangle: np.ndarray, corner: np.ndarray) -> np.ndarray:
+def _lies_at_rest(shell: Shell, triangle: Ints, corner: Ints) -> Flags:
     """(k,) whether both ends of an edge are held on all axes and lie in the rest shape where they start."""
     near = IN_PLACE * np.ptp(shell.points, axis=0).max()
     there = np.ones(len(triangle), dtype=bool)
@@ -74,7 +75,7 @@ def _lies_at_rest(shell: Shell, triangle: np.ndarray, corner: np.ndarray) -> np.
     return there
 
 
-def _plane_of_symmetry(free, along, conormal, loose) -> tuple[np.ndarray, np.ndarray]:
+def _plane_of_symmetry(free, along, conormal, loose) -> tuple[Reals, Flags]:
     """The one supported axis towards the conormal (k, 3), and where (k,) an edge lies in the plane across it
     at an angle that is not right (nothing else to hold: loose) but less than 45 degrees off."""
     axis = ~free * np.where(conormal < 0.0, -1.0, 1.0)
@@ -83,5 +84,5 @@ def _plane_of_symmetry(free, along, conormal, loose) -> tuple[np.ndarray, np.nda
     return axis, (free.sum(axis=1) == 2) & across & steep & (loose > 1e-12)
 
 
-def _unit(v: np.ndarray) -> np.ndarray:
+def _unit(v: Reals) -> Reals:
     return v / np.linalg.norm(v, axis=1, keepdims=True)

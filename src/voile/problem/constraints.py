@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.held import Supports
@@ -22,9 +23,9 @@ class Constraints:
     """
 
     matrix: sp.csr_matrix
-    free: np.ndarray
-    fixed: np.ndarray
-    closure: np.ndarray
+    free: Flags
+    fixed: Flags
+    closure: Reals
     supports: Supports
 
 
@@ -75,7 +76,7 @@ def _supports(shell: Shell, sewing: sp.csr_matrix) -> Supports:
     )
 
 
-def _sewing(shell: Shell) -> tuple[sp.csr_matrix, np.ndarray]:
+def _sewing(shell: Shell) -> tuple[sp.csr_matrix, Ints]:
     """x = P x[base] for the seams; the identity without."""
     n = len(shell.points)
     if not len(shell.slave):
@@ -83,7 +84,7 @@ def _sewing(shell: Shell) -> tuple[sp.csr_matrix, np.ndarray]:
     return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
 
 
-def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: np.ndarray) -> np.ndarray:
+def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: Flags) -> Reals:
     """(n, 3) displacement that closes the seams of the start shape: among all that do, the one of least
     sum over edges of |u_i - u_j|^2 (uniform weights keep thin triangles from turning over)."""
     i, j = shell.topology.edges.T
@@ -106,7 +107,7 @@ def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: np.ndarray) -> np.
     return sewing @ home - shell.points
 
 
-def _means(sewing: sp.csr_matrix, x: np.ndarray) -> np.ndarray:
+def _means(sewing: sp.csr_matrix, x: Reals) -> Reals:
     """Mean of x over the vertices joined to each base vertex."""
     joined = sewing.copy()
     joined.data = (joined.data == 1.0).astype(float)

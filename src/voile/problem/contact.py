@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Array, Flags, Ints, Reals, sums
 from voile.contact.candidates import Layers, near_along
 from voile.contact.contact import FREE, SLIP, STICK, Contact
 from voile.contact.interfaces import SelfContact
@@ -23,7 +24,7 @@ TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
 def with_obstacles(
-    problem: Problem, obstacles: list[Obstacle], offset: float | np.ndarray, layers: Layers | None = None
+    problem: Problem, obstacles: list[Obstacle], offset: float | Reals, layers: Layers | None = None
 ) -> Problem:
     """The problem with obstacles in the shell's way, at a distance of `offset` (m) from the mid-surface, one or
     (obstacles, local vertices), and with layers the shell in its own; without contact if there are none."""
@@ -60,7 +61,7 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     return replace(layers, excluded=np.concatenate([excluded, caught]), caught=len(np.unique(caught, axis=0)))
 
 
-def _across_slivers(x: np.ndarray, triangles: np.ndarray, limit: float) -> np.ndarray:
+def _across_slivers(x: Reals, triangles: Ints, limit: float) -> Ints:
     """(b, 2) ascending pairs of vertices: of triangles less than `limit` (m) high, the corner across from the longest
     side and that side's ends."""
     corner = x[triangles]
@@ -73,7 +74,7 @@ def _across_slivers(x: np.ndarray, triangles: np.ndarray, limit: float) -> np.nd
     return np.sort(np.concatenate(pairs), axis=1)
 
 
-def _joined(sewn: np.ndarray, n: int) -> np.ndarray:
+def _joined(sewn: Ints, n: int) -> Ints:
     """(b, 2) ascending pairs of n vertices joined by up to three links sewn (k, 2): those that may lie on one edge
     where up to four panels meet."""
     ones = np.ones(len(sewn))
@@ -82,7 +83,7 @@ def _joined(sewn: np.ndarray, n: int) -> np.ndarray:
     return np.column_stack(sp.triu(link + link @ link + link @ link @ link, 1).nonzero())
 
 
-def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> SelfContact:
+def _on_itself(problem: Problem, layers: Layers, movable: Flags) -> SelfContact:
     """Layers as all ranks see them: each has the positions of all vertices, and the same pairs. Raises InputError where
     layers start in the same place or through each other, or supports hold them too near."""
     part, comm = problem.part, problem.comm
@@ -91,20 +92,22 @@ def _on_itself(problem: Problem, layers: Layers, movable: np.ndarray) -> SelfCon
     everything = np.empty_like(place)
     everything[place] = np.arange(len(place))
 
-    def gather(rows: np.ndarray) -> np.ndarray:
+    def gather(rows: Array) -> Array:
         return np.concatenate(comm.allgather(rows[own]))[everything]
 
-    start, free = gather(part.points + part.closure[: part.points.size].reshape(-1, 3)), gather(movable)
+    start: Reals = gather(part.points + part.closure[: part.points.size].reshape(-1, 3))
+    free: Flags = gather(movable)
     carried = part.supports.between(0.0, 1.0)
     layers.check_start(start)
-    for x in (start, start + gather(carried[: part.points.size].reshape(-1, 3))):
+    end: Reals = start + gather(carried[: part.points.size].reshape(-1, 3))
+    for x in (start, end):
         layers.check_held(x, free)
     mine = np.zeros(len(place), dtype=bool)
     mine[part.vertex[own]] = True
     return SelfContact(layers, gather, part.vertex, free, mine)
 
 
-def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
+def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
     """At the local vertices: reaction (n, 3) N on the shell, gap (n,) m to the nearest obstacle or layer, where one is
     near, contact (n,): 0 free, 1 stick, 2 slip; and of Coulomb's cone: normal_reaction (n, 3) N along its axis,
     friction (n,) its coefficient, 0 without active contact, margin (n,) the share of friction's bound that is left."""
@@ -126,7 +129,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, np.ndarray]:
     )
 
 
-def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, np.ndarray]:
+def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, Array]:
     """The fields of `contact_fields`; friction is infinite without active contact."""
     return {
         "reaction": reaction,
@@ -176,7 +179,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
     }
 
 
-def contact_work(problem: Problem, y: PETSc.Vec, way: np.ndarray, before: np.ndarray) -> dict[str, float]:
+def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> dict[str, float]:
     """Of the reactions at y over the vertices' way (n, 3) m since they were at `before` (n, 3) m (J): friction and
     impact, what tangential and normal reactions dissipate over the way relative to their partner; obstacles, what
     these work by moving; total, on the shell."""
@@ -197,7 +200,7 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: np.ndarray, before: np.nda
 
 
 def leads_through(
-    problem: Problem, before: np.ndarray, began: float, after: np.ndarray, touching: float = TOUCHING
+    problem: Problem, before: Reals, began: float, after: Reals, touching: float = TOUCHING
 ) -> bool:
     """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
     present one, leads a vertex through an obstacle, deeper than `touching` (sizes of the shell)."""
@@ -215,8 +218,8 @@ def contact_of(problem: Problem) -> Contact:
     return problem.contact
 
 
-def vertex_areas(problem: Problem) -> np.ndarray:
+def vertex_areas(problem: Problem) -> Reals:
     """(local vertices,) a third of the rest triangles around (m^2); complete for this rank's own."""
     part = problem.part
     area = triangle_areas(part.rest_points, part.rest_corners) / 3.0
-    return np.bincount(part.corners.ravel(), np.repeat(area, 3), len(part.vertex))
+    return sums(part.corners.ravel(), np.repeat(area, 3), len(part.vertex))

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.problem.inertia import Inertia
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
@@ -19,7 +20,7 @@ from voile.problem.terms import Point, Term
 class Air:
     """velocity (3,) m/s of the air; drag (kg/m^3): force per area over the square of its normal relative velocity."""
 
-    velocity: np.ndarray
+    velocity: Reals
     drag: float
 
 
@@ -44,12 +45,12 @@ class Wind(Term):
 
     part: Part
     air: Air
-    areas: np.ndarray
-    rate: np.ndarray
-    still: np.ndarray
+    areas: Reals
+    rate: Reals
+    still: Reals
 
     @classmethod
-    def at(cls, part: Part, air: Air, x: np.ndarray, rate: np.ndarray, still: np.ndarray) -> Self:
+    def at(cls, part: Part, air: Air, x: Reals, rate: Reals, still: Reals) -> Self:
         """Of a step that begins at positions x (n, 3) m; rate (n, 3) 1/s and still (n, 3) m of its velocities."""
         return cls(part, air, 0.5 * area_vectors(x, part.corners), rate, still)
 
@@ -58,7 +59,7 @@ class Wind(Term):
         per_rate = self.part.weight[:, None] / self.rate[self.part.corners, 0]
         return {"wind": self.air.drag / 9.0 * float((area[:, None] * abs(u) ** 3 * per_rate).sum())}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         area, normal, u = self._flow(at)
         share = (self.air.drag / 3.0) * area[:, None] * abs(u) * u
         return at.over_dofs(self._gather(share[:, :, None] * normal[:, None]))
@@ -75,14 +76,14 @@ class Wind(Term):
         block = stiff[:, :, None, None] * (normal[:, :, None] * normal[:, None])[:, None]
         yield np.arange(len(self.part.vertex)), self._gather(block)
 
-    def _flow(self, at: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _flow(self, at: Point) -> tuple[Reals, Reals, Reals]:
         """Areas (m,), unit normals (m, 3), and u (m, 3) m/s at the corners."""
         area = np.linalg.norm(self.areas, axis=1)
         normal = self.areas / np.maximum(area, 1e-300)[:, None]
         relative = self.air.velocity - self.rate * (at.positions - self.still)
         return area, normal, np.einsum("mi,mki->mk", normal, relative[self.part.corners])
 
-    def _gather(self, rows: np.ndarray) -> np.ndarray:
+    def _gather(self, rows: Reals) -> Reals:
         """(n, ...) sums at the vertices of rows (m, 3, ...) at the corners."""
         total = np.zeros((len(self.part.vertex), *rows.shape[2:]))
         np.add.at(total, self.part.corners, rows)

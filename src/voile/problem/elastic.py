@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from voile import _kernels
+from voile.arrays import Reals
 from voile.problem.partition import Part
 from voile.problem.terms import Point, Term
 
@@ -24,7 +25,7 @@ class Elastic(Term):
         self._twins: list[Elastic] = []
         self.count_from(part.points)
 
-    def count_from(self, start: np.ndarray) -> None:
+    def count_from(self, start: Reals) -> None:
         """Displacements count from `start` (local vertices, 3) m."""
         self._start = start
         for twin in self._twins:
@@ -76,7 +77,7 @@ class Elastic(Term):
             stretching, bending = self.kernel.energy(at.u, at.phi)
         return {"stretching": stretching, "bending": bending}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         gradient, edge_gradient = np.zeros_like(at.u), np.zeros_like(at.phi)
         with self.timed():
             self.kernel.gradient(at.u, at.phi, gradient, edge_gradient)
@@ -85,10 +86,10 @@ class Elastic(Term):
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         self.kernel.hessian(at.u, at.phi, kind, scatter)
 
-    def predict(self, at: Point, step: np.ndarray) -> None:
+    def predict(self, at: Point, step: Reals) -> None:
         self.kernel.predict(at.u, at.phi, step[: len(at.u)], step[len(at.u) :])
 
-    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+    def longest_step(self, at: Point, step: Reals, most: float) -> float:
         """None on which a hinge turns through 180 degrees or that ends beyond a barrier of the model; 0 where even a
         millionth does."""
         du, dphi = step[: len(at.u)], step[len(at.u) :]
@@ -98,13 +99,13 @@ class Elastic(Term):
                 return 0.0
         return most
 
-    def _admits(self, at: Point, u: np.ndarray, phi: np.ndarray) -> bool:
+    def _admits(self, at: Point, u: Reals, phi: Reals) -> bool:
         """Whether the way to displacements u and director angles phi is one."""
         folds = not self.passes and self.kernel.folds_over(at.u, at.phi, u, phi)
         return not folds and bool(np.isfinite(sum(self.kernel.energy(u, phi))))
 
 
-def make_kernel(part: Part, model: str, start: np.ndarray, flat: bool) -> _kernels.Elastic:
+def make_kernel(part: Part, model: str, start: Reals, flat: bool) -> _kernels.Elastic:
     """The model with displacements that count from `start` (local vertices, 3) m; flat: its rest shape has no folds."""
     kernel = _kernels.Elastic(
         model,

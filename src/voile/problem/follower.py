@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.problem.partition import Part
 from voile.problem.shell import Shell, area_vectors
 
 
-def pressure_origin(shell: Shell) -> np.ndarray | None:
+def pressure_origin(shell: Shell) -> Reals | None:
     """(3,) a point against which pressure has the potential -p V, V the volume between it and the surface; None where
     there is none, as for patches of it.
 
@@ -29,7 +30,7 @@ def pressure_origin(shell: Shell) -> np.ndarray | None:
     return origin if within.any(axis=1).all() else None
 
 
-def pressure_energy(x: np.ndarray, part: Part, origin: np.ndarray) -> float:
+def pressure_energy(x: Reals, part: Part, origin: Reals) -> float:
     """-p V (J) with V the volume from the origin to this rank's surface at x (vertices, 3), the sum of
     x0.(x1 x x2)/6."""
     corner = x[part.corners] - origin
@@ -37,7 +38,7 @@ def pressure_energy(x: np.ndarray, part: Part, origin: np.ndarray) -> float:
     return -float((part.pressure * volume) @ part.weight)
 
 
-def pressure_force(x: np.ndarray, part: Part) -> np.ndarray:
+def pressure_force(x: Reals, part: Part) -> Reals:
     """(3 vertices,) forces p A n / 3 at each corner (N)."""
     share = area_vectors(x, part.corners) * (part.pressure / 6.0)[:, None]
     force = np.zeros((len(part.vertex), 3))

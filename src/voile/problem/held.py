@@ -1,10 +1,12 @@
 """Supports as they move in time, and what is sewn to them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
+from voile.arrays import Ints, Reals
 from voile.contact.motion import Motion
 
 
@@ -13,8 +15,8 @@ class Supports:
     """points (h, 3) m: start places of the supported vertices that may move; motions: rows of them, and how they move;
     carry (dofs, 3h): takes their displacements along the seams."""
 
-    points: np.ndarray
-    motions: list[tuple[np.ndarray, Motion]]
+    points: Reals
+    motions: Sequence[tuple[Ints, Motion]]
     carry: sp.csr_matrix
 
     @property
@@ -27,7 +29,7 @@ class Supports:
         """Time after which none moves."""
         return max((motion.ends for _, motion in self.motions), default=0.0)
 
-    def between(self, start: float, end: float) -> np.ndarray:
+    def between(self, start: float, end: float) -> Reals:
         """(dofs,) prescribed displacement from time start to end (m)."""
         if start == end or not self.motions:
             return np.zeros(self.carry.shape[0])
@@ -36,7 +38,7 @@ class Supports:
             moved[rows] += motion.between(self.points[rows], start, end)
         return self.carry @ moved.ravel()
 
-    def of(self, dofs: np.ndarray) -> "Supports":
+    def of(self, dofs: Ints) -> "Supports":
         """What concerns some degrees of freedom."""
         carry = self.carry[dofs]
         needed = np.unique(carry.indices // 3)

@@ -3,6 +3,7 @@
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Ints, Reals
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.shell import area_vectors
@@ -12,7 +13,7 @@ SHORTEST = 0.1  # sizes of the shell
 SMALL = 1e-3  # of the perturbation off saddles
 
 
-def imperfection(problem: Problem, x: np.ndarray | None = None, still: np.ndarray | None = None) -> PETSc.Vec:
+def imperfection(problem: Problem, x: Reals | None = None, still: Flags | None = None) -> PETSc.Vec:
     """A displacement of about 1 m, smooth and without symmetry: waves of fixed directions and phases, from the shell's
     size down to a tenth of it; with positions x (local vertices, 3) only along the normals there; none where
     `still` (local vertices,). The same for all meshes and numbers of ranks."""
@@ -37,7 +38,7 @@ def perturb(problem: Problem, y: PETSc.Vec, perturbation: float) -> None:
     y.axpy(problem.longest_step(y, small), small)
 
 
-def _pressed(problem: Problem) -> np.ndarray:
+def _pressed(problem: Problem) -> Flags:
     """(local vertices,) marks those that bear on an obstacle."""
     pressed, contact = np.zeros(len(problem.part.vertex), dtype=bool), problem.contact
     for normal in contact.history.normal[: len(contact.obstacles)] if contact else ():
@@ -45,7 +46,7 @@ def _pressed(problem: Problem) -> np.ndarray:
     return pressed
 
 
-def _normals(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _normals(points: Reals, corners: Ints) -> Reals:
     """(n, 3) unit normals of the vertices; zero where there is none."""
     normals = np.zeros_like(points)
     np.add.at(normals, corners, area_vectors(points, corners)[:, None])

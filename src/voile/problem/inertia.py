@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
 
@@ -15,16 +16,16 @@ class Inertia(Term):
     unknowns the mass is C^T M C. Directors have none: they follow at every instant."""
 
     name = "inertia"
-    mass: np.ndarray
-    own: np.ndarray
-    coefficient: float | np.ndarray
-    predicted: np.ndarray
+    mass: Reals
+    own: Flags
+    coefficient: float | Reals
+    predicted: Reals
 
     def energies(self, at: Point) -> dict[str, float]:
         away = (self.coefficient * (at.positions - self.predicted) ** 2).sum(axis=1)
         return {self.name: 0.5 * float((self.mass * away)[self.own].sum())}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.coefficient * self.mass[:, None] * (self.predicted - at.positions))
 
     def blocks(self, at: Point, kind: str) -> Blocks:
@@ -35,18 +36,18 @@ class Inertia(Term):
 class Dead(Term):
     """A constant force (dofs,) N, counted where own (dofs,) says."""
 
-    force: np.ndarray
-    own: np.ndarray
+    force: Reals
+    own: Flags
 
     def energies(self, at: Point) -> dict[str, float]:
         away = np.concatenate([at.displacement, at.phi])
         return {"dead": -float((self.force * away)[self.own].sum())}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         return self.force
 
 
-def mass_blocks(mass: np.ndarray, coefficient: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mass_blocks(mass: Reals, coefficient: float | Reals) -> tuple[Ints, Reals]:
     """The vertices with mass (kg) and coefficient (one or (n, 3)) times it, (p, 3, 3)."""
     vertex = np.flatnonzero(mass)
     scaled = (coefficient * mass[:, None])[vertex]

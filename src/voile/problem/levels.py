@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile import _kernels
+from voile.arrays import Flags, Ints, Reals
 from voile.elastic.weave import warp_components, warp_directions
 from voile.errors import InputError
 from voile.mesh.stitches import Stitches, join, sewing_matrix
@@ -44,7 +45,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         np.ascontiguousarray(shell.rest_points, dtype=float),
         _ints(_supports(shell)),
         _ints(seams.label),
-        _ints(_fans(shell) > 1) | _ints(seams.bound(feature, kind)),
+        _ints((_fans(shell) > 1) | seams.bound(feature, kind)),
         _ints(feature),
         _ints(kind),
         _ints(seams.hang),
@@ -98,7 +99,7 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     return (coarse, prolongation) if _holds(coarse) else None
 
 
-def _woven_on(shell: Shell, triangle: np.ndarray, kept: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _woven_on(shell: Shell, triangle: Ints, kept: Ints, triangles: Ints) -> Reals:
     """(c, 9) the weave of coarse rest triangles (c, 3) of the rest vertices `kept`: that of a fine triangle (c,) each,
     with its warp."""
     assert shell.weave is not None
@@ -119,7 +120,7 @@ def _holds(shell: Shell) -> bool:
     return True
 
 
-def _ints(values: np.ndarray) -> np.ndarray:
+def _ints(values: Ints | Flags) -> Ints:
     return np.ascontiguousarray(values, dtype=np.int32)
 
 
@@ -131,14 +132,14 @@ def _mass(shell: Shell) -> float:
 # ---- what the fine mesh keeps ----
 
 
-def _clamped(shell: Shell) -> np.ndarray:
+def _clamped(shell: Shell) -> Flags:
     """(m, 3) marks clamped half edges."""
     clamped = np.zeros(len(shell.topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
     return clamped[shell.topology.triangle_edges]
 
 
-def _charts(shell: Shell) -> np.ndarray:
+def _charts(shell: Shell) -> Ints:
     """(m,) piece of the rest shape that each triangle belongs to."""
     r, n = shell.rest_triangles, len(shell.rest_points)
     pair = np.concatenate([r[:, :2], r[:, 1:]])
@@ -146,7 +147,7 @@ def _charts(shell: Shell) -> np.ndarray:
     return connected_components(graph, directed=False)[1][r[:, 0]]
 
 
-def _supports(shell: Shell) -> np.ndarray:
+def _supports(shell: Shell) -> Ints:
     """(n,) equal numbers for vertices of one support, 0 for free ones: neighbours that are held along the same axes and
     moved apart by less than APART of their distance."""
     n = len(shell.points)
@@ -158,7 +159,7 @@ def _supports(shell: Shell) -> np.ndarray:
     return np.where(shell.fixed.any(axis=1), 1 + connected_components(graph, directed=False)[1], 0)
 
 
-def _fans(shell: Shell) -> np.ndarray:
+def _fans(shell: Shell) -> Ints:
     """(n,) sheets of triangles that meet in each vertex: more than one where it alone joins them."""
     topology = build_topology(shell.triangles)
     half = np.flatnonzero(topology.across.ravel() >= 0)
@@ -174,7 +175,7 @@ def _fans(shell: Shell) -> np.ndarray:
     return np.bincount(shell.triangles.ravel()[first], minlength=len(shell.points))
 
 
-def _features(shell: Shell, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _features(shell: Shell, solid: Flags) -> tuple[Ints, Ints]:
     """(f, 2) edges of the feature lines and (f,) their kinds. solid (m,): triangles clamped all around."""
     topology = build_topology(shell.triangles)
     across = topology.across.ravel()
@@ -202,7 +203,7 @@ def _features(shell: Shell, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return topology.edges[on], kind[on]
 
 
-def _edges(topology: Topology, pairs: np.ndarray, solid: np.ndarray) -> np.ndarray:
+def _edges(topology: Topology, pairs: Ints, solid: Flags) -> Ints:
     """Indices of edges that are given by their vertices (k, 2), and of those of solid triangles (m,)."""
     n = int(topology.edges.max(initial=0)) + 1
     key = topology.edges @ np.array([n, 1])
@@ -217,16 +218,16 @@ class _Seams:
     """
 
     def __init__(self, shell: Shell):
-        self.label = np.arange(len(shell.points))
+        self.label: Ints = np.arange(len(shell.points))
         stitches = Stitches(shell.slave, shell.first, shell.second, shell.weight)
-        row = np.zeros(0, dtype=np.int64)
+        row: Ints = np.zeros(0, dtype=np.int64)
         if len(stitches):
             self.label, hangs = join(stitches, len(shell.points))
             row = hangs[np.unique(self.label[stitches.slave[hangs]], return_index=True)[1]]  # one is enough
         self.hang = np.column_stack([shell.slave, shell.first, shell.second])[row]
         self.weight = np.ascontiguousarray(shell.weight[row], dtype=float)
 
-    def bound(self, feature: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    def bound(self, feature: Ints, kind: Ints) -> Flags:
         """(n,) marks vertices that must stay: sewn ones off the border, and ends of a seam that follow no border."""
         n = len(self.label)
         border = feature[kind & BORDER > 0]
@@ -240,7 +241,7 @@ class _Seams:
         still[self.hang[~along]] = True
         return still
 
-    def records(self, number: np.ndarray, hang: np.ndarray, weight: np.ndarray) -> dict[str, Any]:
+    def records(self, number: Ints, hang: Ints, weight: Reals) -> dict[str, Any]:
         """Stitches of the coarse shell. number (n,): its vertices, -1 where one is gone."""
         one = np.flatnonzero((self.label != np.arange(len(self.label))) & (number >= 0))
         root = self.label[one]
@@ -255,7 +256,7 @@ class _Seams:
         }
 
 
-def _closing(shell: Shell, closed: np.ndarray) -> np.ndarray:
+def _closing(shell: Shell, closed: Reals) -> Reals:
     """(n, 3) displacement to closed (n, 3) m, with all seams closed exactly."""
     sewing, base = sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(closed))
     return sewing @ closed[base] - shell.points

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from voile.arrays import Reals
+
 
 @dataclass(frozen=True)
 class Load:
@@ -23,8 +25,8 @@ class Load:
 class History(Load):
     """Factors (k,) at times (k,) s, linear between and constant beyond; by default 1 throughout."""
 
-    times: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    factors: np.ndarray = field(default_factory=lambda: np.ones(1))
+    times: Reals = field(default_factory=lambda: np.zeros(1))
+    factors: Reals = field(default_factory=lambda: np.ones(1))
 
     @property
     def ends(self) -> float:

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from voile import _kernels
+from voile.arrays import Reals
 from voile.problem.elastic import Elastic
 from voile.problem.follower import pressure_energy, pressure_force
 from voile.problem.load import Load
@@ -26,9 +27,9 @@ class Loads(Term):
         self,
         part: Part,
         elastic: Elastic,
-        gravity: np.ndarray,
+        gravity: Reals,
         pressed: bool,
-        origin: np.ndarray | None,
+        origin: Reals | None,
         laws: Mapping[str, Load] | None = None,
     ):
         self.part, self.elastic, self.gravity, self.pressed = part, elastic, gravity, pressed
@@ -56,7 +57,7 @@ class Loads(Term):
         other.share = share
         return other
 
-    def gravity_at(self, time: float) -> np.ndarray:
+    def gravity_at(self, time: float) -> Reals:
         """(3,) m/s^2."""
         return self.factor("gravity", time) * self.gravity
 
@@ -70,7 +71,7 @@ class Loads(Term):
         }
         return {name: -self.factor(name, at.time) * value for name, value in work.items()}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         total = (
             self.factor("gravity", at.time) * self.weight + self.factor("force", at.time) * self.part.force
         )
@@ -93,6 +94,6 @@ class Loads(Term):
             pressure = self.factor("pressure", at.time) * self.part.pressure
             _kernels.add_pressure_hessian(scatter, self.part.corners, at.positions, -pressure)
 
-    def skew_forces(self, motion: np.ndarray, time: float) -> np.ndarray | None:
+    def skew_forces(self, motion: Reals, time: float) -> Reals | None:
         """(local dofs,) change of the forces along a motion by the skew part of moments; None without."""
         return self.factor("moment", time) * self.moments.skew_forces(motion) if self.moments else None

@@ -9,9 +9,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _kernels, _petsc
+from voile.arrays import Ints, Reals
 from voile.problem.partition import Part
 
-Blocks = Iterable[tuple[np.ndarray, np.ndarray]]
+Blocks = Iterable[tuple[Ints, Reals]]
 # (indices (p,) of local vertices or (p, s) of vertices in the input, (p, 3s, 3s) N/m)
 
 
@@ -26,7 +27,7 @@ class Assembly:
         self.coupled = np.zeros(
             0, dtype=np.int64
         )  # ascending codes of the pairs of vertices that contacts couple
-        self._pattern: tuple[np.ndarray, np.ndarray] | None = None
+        self._pattern: tuple[Ints, Ints] | None = None
         self._combination: sp.csr_matrix | None = None
         self._bound = None
 
@@ -48,7 +49,7 @@ class Assembly:
         matrix.setAttr("coupled", len(self.coupled))
         self._bind(matrix)
 
-    def _find_pattern(self, kernel: _kernels.Elastic) -> tuple[np.ndarray, np.ndarray]:
+    def _find_pattern(self, kernel: _kernels.Elastic) -> tuple[Ints, Ints]:
         """Row starts and columns of this rank's entries, and the `scatter` that goes with them."""
         part = self.part
         self.scatter = _kernels.Scatter(
@@ -66,7 +67,7 @@ class Assembly:
         return start.astype(np.int32), column.astype(np.int32)
 
     def prepare(
-        self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: np.ndarray | None = None
+        self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: Ints | None = None
     ) -> None:
         """Makes room in the matrix for blocks that are to be added. Its pattern grows if it must, and then for contacts
         over vertices that are likely to come, too (c, s); its attribute `coupled` counts them."""
@@ -105,7 +106,7 @@ class Assembly:
 
     # ---- pairs of vertices that only contacts couple ----
 
-    def _codes(self, vertex: np.ndarray) -> np.ndarray:
+    def _codes(self, vertex: Ints) -> Ints:
         """Ascending codes of all pairs among the vertices (p, s) of each contact."""
         first, second = np.triu_indices(vertex.shape[1], 1)
         pair = np.sort(np.stack([vertex[:, first], vertex[:, second]]).reshape(2, -1), axis=0).astype(
@@ -113,7 +114,7 @@ class Assembly:
         )
         return np.unique(pair[0] * (1 << 32) + pair[1])
 
-    def _widened(self, start: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _widened(self, start: Ints, column: Ints) -> tuple[Ints, Ints]:
         """A pattern of this rank's rows with the entries of coupled vertices."""
         own, everything = self._maps()
         i, j = self.coupled >> 32, self.coupled & 0xFFFFFFFF
@@ -140,7 +141,7 @@ class Assembly:
         return self._own, self._combination
 
 
-def _over_dofs(vertex: np.ndarray, block: np.ndarray, count: int) -> sp.csr_matrix:
+def _over_dofs(vertex: Ints, block: Reals, count: int) -> sp.csr_matrix:
     """Sum of blocks (p, 3s, 3s) over the dofs of vertices (p, s), `count` dofs in all."""
     dof = (3 * vertex[:, :, None] + np.arange(3)).reshape(len(vertex), 3 * vertex.shape[1])
     row, col = np.broadcast_arrays(dof[:, :, None], dof[:, None, :])

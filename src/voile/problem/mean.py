@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from voile import _kernels
+from voile.arrays import Reals
 from voile.problem.elastic import Elastic
 from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
@@ -53,7 +54,7 @@ class MeanElastic(Term):
                 total[name] += weight / s * value
         return total
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         parts = [weight * elastic.forces(there) for elastic, there, _, weight in self._places(at) if weight]
         return np.sum(parts, axis=0)
 
@@ -66,12 +67,12 @@ class MeanElastic(Term):
         finally:
             scatter.adding = False
 
-    def predict(self, at: Point, step: np.ndarray) -> None:
+    def predict(self, at: Point, step: Reals) -> None:
         for elastic, there, s, weight in self._places(at):
             with elastic.stiffened(s * weight):
                 elastic.predict(there, s * step)
 
-    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+    def longest_step(self, at: Point, step: Reals, most: float) -> float:
         """What the shape at the end admits, and those on the way."""
         most = self.elastic.longest_step(at, step, most)
         for elastic, there, s, weight in self._places(at):
@@ -100,7 +101,7 @@ class MeanTerm(Term):
                 total[name] = total.get(name, 0.0) + weight / s * value
         return total
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         places = _places(self.start, at, self.nodes)
         return np.sum([weight * self.term.forces(there) for there, _, weight in places], axis=0)
 

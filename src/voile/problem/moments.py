@@ -7,6 +7,7 @@ depend on the path, so there is no potential, and the derivative of the forces M
 import numpy as np
 
 from voile import _kernels
+from voile.arrays import Reals
 from voile.problem.partition import Part
 
 
@@ -24,39 +25,39 @@ class EndMoments:
         self._signs = part.signs.ravel()[half]
         self._skew = np.zeros((len(half), 9, 9))
 
-    def forces(self, kernel: _kernels.Elastic, u: np.ndarray) -> np.ndarray:
+    def forces(self, kernel: _kernels.Elastic, u: Reals) -> Reals:
         """(local dofs,) N, and N m on directors, at the kernel's displacements u (3 vertices,)."""
         total = np.zeros(sum(self._size))
         kernel.turn_gradient(u, np.zeros(self._size[1]), self._all, total[: len(u)])
         np.subtract.at(total, self._edges, self._moment * self._signs)
         return total
 
-    def linearise(self, x: np.ndarray) -> None:
+    def linearise(self, x: Reals) -> None:
         """Evaluates the skew part of the derivative at positions x (vertices, 3); the kernel has the symmetric one."""
         corner = x.ravel()[self._dofs].reshape(-1, 3, 3)
         columns = [turn_derivative(corner, unit.reshape(3, 3)).reshape(-1, 9) for unit in np.eye(9)]
         derivative = self._moment[:, None, None] * np.stack(columns, axis=2)
         self._skew = 0.5 * (derivative - derivative.transpose(0, 2, 1))
 
-    def skew_forces(self, motion: np.ndarray) -> np.ndarray:
+    def skew_forces(self, motion: Reals) -> Reals:
         """(local dofs,) change of the forces (N) along a motion (local dofs,), by the skew part."""
         total = np.zeros_like(motion)
         np.add.at(total, self._dofs, np.einsum("hij,hj->hi", self._skew, motion[self._dofs]))
         return total
 
 
-def turn_derivative(corner: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def turn_derivative(corner: Reals, motion: Reals) -> Reals:
     """(k, 3, 3) derivative along a motion (3, 3) of the gradient of triangles' turn, (k, 3, 3), about their edge e_0
     opposite corner 0: at corner j it is -(e_0 . e_j) N / (|N|^2 |e_0|) with N = e_0 x e_1 (src/cpp/geometry.hpp)."""
     e, de = (np.roll(x, -2, axis=-2) - np.roll(x, -1, axis=-2) for x in (corner, motion))
     e0, de0 = e[:, :1], de[:1]
     normal = np.cross(e0, e[:, 1:2])
-    d_normal = np.cross(de0, e[:, 1:2]) + np.cross(e0, de[1])
+    d_normal = np.add(np.cross(de0, e[:, 1:2]), np.cross(e0, de[1]), dtype=float)
     area, length = _dot(normal, normal), _dot(e0, e0)
     relative = 2.0 * _dot(normal, d_normal) / area + _dot(e0, de0) / length
     change = (_dot(de0, e) + _dot(e0, de)) * normal + _dot(e0, e) * (d_normal - relative * normal)
     return -change / (area * np.sqrt(length))
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _dot(a: Reals, b: Reals) -> Reals:
     return np.einsum("...i,...i->...", a, b)[..., None]

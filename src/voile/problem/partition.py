@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
+from voile.arrays import Flags, Ints, Reals
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import Constraints, build_constraints
 from voile.problem.held import Supports
@@ -25,41 +26,39 @@ class Part:
     here.
     """
 
-    vertex: np.ndarray
-    edge: np.ndarray
-    triangle: np.ndarray
-    corners: np.ndarray
-    triangle_edges: np.ndarray
-    signs: np.ndarray
-    across: np.ndarray
-    points: np.ndarray
-    rest_points: np.ndarray
-    rest_vertex: np.ndarray
-    rest_corners: np.ndarray
-    fabric: np.ndarray  # (4, m) thickness, young, poisson, density
-    weave: np.ndarray  # (m, 9), or (m, 0) of fabrics that are not woven
-    weight: np.ndarray
+    vertex: Ints
+    edge: Ints
+    triangle: Ints
+    corners: Ints
+    triangle_edges: Ints
+    signs: Ints
+    across: Ints
+    points: Reals
+    rest_points: Reals
+    rest_vertex: Ints
+    rest_corners: Ints
+    fabric: Reals  # (4, m) thickness, young, poisson, density
+    weave: Reals  # (m, 9), or (m, 0) of fabrics that are not woven
+    weight: Reals
     matrix: sp.csr_matrix
-    closure: np.ndarray  # (dofs,) closes the seams of the start shape
+    closure: Reals  # (dofs,) closes the seams of the start shape
     supports: Supports
-    fixed: np.ndarray
-    force: np.ndarray
-    mass: np.ndarray  # (dofs,) lumped, complete where this rank has all triangles: for its own
-    moment: np.ndarray
-    pressure: np.ndarray  # (m,) Pa
-    springs: np.ndarray  # (vertices, 3) N/m, empty without
-    bars: (
-        np.ndarray
-    )  # (b, 7) all: input vertices, N/m, m, local vertices or -1 where not here, whether it counts here
-    extra_mass: np.ndarray  # (vertices,) kg
-    half_edge_clamp: np.ndarray  # (k, 6): local half edge, flags conormal and at rest, vector
+    fixed: Flags
+    force: Reals
+    mass: Reals  # (dofs,) lumped, complete where this rank has all triangles: for its own
+    moment: Reals
+    pressure: Reals  # (m,) Pa
+    springs: Reals  # (vertices, 3) N/m, empty without
+    bars: Reals  # (b, 7) all: input vertices, N/m, m, local vertices or -1 where not here, whether it counts here
+    extra_mass: Reals  # (vertices,) kg
+    half_edge_clamp: Reals  # (k, 6): local half edge, flags conormal and at rest, vector
     owned: int
     first_global: int
-    ghost_global: np.ndarray
-    owned_vertices: np.ndarray  # local indices of the vertices that this rank writes
-    owned_edges: np.ndarray
+    ghost_global: Ints
+    owned_vertices: Ints  # local indices of the vertices that this rank writes
+    owned_edges: Ints
 
-    def set_rest(self, points: np.ndarray) -> None:
+    def set_rest(self, points: Reals) -> None:
         """Another rest shape (rest vertices, 3) m; complete masses for what this rank's unknowns move."""
         self.rest_points = np.ascontiguousarray(points)
         thickness, _, _, density = self.fabric
@@ -70,12 +69,12 @@ class Part:
 
 
 def lumped_mass(
-    density_area: np.ndarray,
-    thickness: np.ndarray,
-    corners: np.ndarray,
-    edges: np.ndarray,
+    density_area: Reals,
+    thickness: Reals,
+    corners: Ints,
+    edges: Ints,
     counts: tuple[int, int],
-) -> np.ndarray:
+) -> Reals:
     """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2).
 
     Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3); counts of both.
@@ -86,7 +85,7 @@ def lumped_mass(
     return np.concatenate([np.repeat(vertex, 3), edge])
 
 
-def _mass(shell: Shell) -> np.ndarray:
+def _mass(shell: Shell) -> Reals:
     """Lumped mass of a whole shell."""
     area = triangle_areas(shell.rest_points, shell.rest_triangles)
     edges = shell.topology.triangle_edges
@@ -101,10 +100,10 @@ def _mass(shell: Shell) -> np.ndarray:
 class Numbering:
     """Global numbering of nodes and unknowns on rank 0."""
 
-    node_owner: np.ndarray  # vertices, then edges
-    unknown: np.ndarray  # per dof: global number, -1 where it is none
-    range_start: np.ndarray  # (ranks + 1,)
-    triangle_order: np.ndarray
+    node_owner: Ints  # vertices, then edges
+    unknown: Ints  # per dof: global number, -1 where it is none
+    range_start: Ints  # (ranks + 1,)
+    triangle_order: Ints
 
 
 def number_unknowns(shell: Shell, constraints: Constraints, ranks: int) -> Numbering:
@@ -139,7 +138,7 @@ def number_unknowns(shell: Shell, constraints: Constraints, ranks: int) -> Numbe
     return Numbering(owner, unknown, np.concatenate([[0], np.cumsum(per_rank)]), triangle_order)
 
 
-def _ramp(sizes: np.ndarray) -> np.ndarray:
+def _ramp(sizes: Ints) -> Ints:
     """0, 1, ..., size-1 for each size in turn."""
     ends = np.cumsum(sizes)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - sizes, sizes)
@@ -166,7 +165,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     return cut(shell, constraints, numbering, 0, clamps)
 
 
-def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: np.ndarray) -> Part:
+def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: Reals) -> Part:
     """The part of one rank. clamps (k, 6) as Part.half_edge_clamp, with global half edges."""
     n, topology = len(shell.points), shell.topology
     edges = len(topology.edges)
@@ -238,7 +237,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     )
 
 
-def _bars(shell: Shell, local: np.ndarray, owner: np.ndarray, rank: int) -> np.ndarray:
+def _bars(shell: Shell, local: Ints, owner: Ints, rank: int) -> Reals:
     """Part.bars."""
     if shell.bars is None:
         return np.zeros((0, 7))
@@ -247,7 +246,7 @@ def _bars(shell: Shell, local: np.ndarray, owner: np.ndarray, rank: int) -> np.n
     return np.column_stack([shell.bars, here, owner[ends[:, 0]] == rank])
 
 
-def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int) -> np.ndarray:
+def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int) -> Ints:
     """Triangles that contribute to an unknown of the rank and one ring for their hinges, in Hilbert order."""
     topology = shell.topology
     n = len(shell.points)
@@ -282,12 +281,12 @@ def gathered(problem, local):
     return total
 
 
-def bounding_size(points: np.ndarray, comm: MPI.Comm) -> float:
+def bounding_size(points: Reals, comm: MPI.Comm) -> float:
     """Diagonal (m) of the bounding box of all ranks' points (n, 3)."""
     outermost = np.concatenate([points, -points], axis=1).max(axis=0, initial=-np.inf)
     outermost = comm.allreduce(outermost, op=_maximum)
     return float(np.linalg.norm(outermost[:3] + outermost[3:]))
 
 
-def _maximum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _maximum(a: Reals, b: Reals) -> Reals:
     return np.maximum(a, b)

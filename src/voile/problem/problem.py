@@ -8,6 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _kernels
+from voile.arrays import Flags, Ints, Reals, sums
 from voile.contact.contact import Contact
 from voile.elastic import has_directors
 from voile.problem.elastic import Elastic
@@ -91,7 +92,7 @@ class Problem:
         other.contact, other.terms = contact, (self.elastic, self.loads, *self.springs, *terms)
         return other
 
-    def set_rest(self, points: np.ndarray, flat: bool = False) -> None:
+    def set_rest(self, points: Reals, flat: bool = False) -> None:
         """Another rest shape (local rest vertices, 3) m, flat without folds, and the masses that it has."""
         self.part.set_rest(points)
         self.elastic.set_rest(flat)
@@ -152,12 +153,12 @@ class Problem:
         """A matrix with the tangent's pattern; its values are written in place by `tangent`."""
         return self._assembly.create(self.kernel)
 
-    def local(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
+    def local(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
         u, phi = self.shape(y)
         return self.layout.base + u, phi
 
-    def shape(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
+    def shape(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """As `local`, but displacements from the shape of the last `move_origin`."""
         return self.layout.shape(y, self.time)
 
@@ -183,7 +184,7 @@ class Problem:
         """The potential (J)."""
         return float(sum(self.energies(y).values()))
 
-    def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: np.ndarray | None = None) -> None:
+    def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: Reals | None = None) -> None:
         """Writes the gradient of the potential (N; N m for directors) to f, less forces on the shell (local vertices,
         3) N, if given."""
         stop_if_told(self.comm)
@@ -201,13 +202,13 @@ class Problem:
         """Norm of a term's forces on the unknowns (N)."""
         return self.norm(self.layout.collect(term.forces(self.point(y))))
 
-    def reactions(self, y: PETSc.Vec) -> np.ndarray:
+    def reactions(self, y: PETSc.Vec) -> Reals:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
         at, count = self.point(y), self.layout.vertices
         forces = self.inner_forces(at)
         return (-forces[:count] * self.part.fixed[:count]).reshape(-1, 3)
 
-    def inner_forces(self, at: Point) -> np.ndarray:
+    def inner_forces(self, at: Point) -> Reals:
         """(local dofs,) forces of the shell itself, its springs and its loads (N; N m on directors)."""
         return sum(
             (term.forces(at) for term in self.springs), self.elastic.forces(at) + self.loads.forces(at)
@@ -245,25 +246,25 @@ class Problem:
             self._assembly.add(matrix, blocks)
             matrix.assemble()
 
-    def assemble(self, matrix: PETSc.Mat, blocks: np.ndarray, at_vertices: Blocks = ()) -> None:
+    def assemble(self, matrix: PETSc.Mat, blocks: Reals, at_vertices: Blocks = ()) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
         self._assembly.prepare(matrix, self.kernel, at_vertices)
         self._assembly.scatter.assemble(blocks)
         self._assembly.add(matrix, at_vertices)
         matrix.assemble()
 
-    def gather_triangles(self, forces: np.ndarray) -> PETSc.Vec:
+    def gather_triangles(self, forces: Reals) -> PETSc.Vec:
         """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)
         and directors, on the unknowns."""
         f, size = self.create_vector(), self.part.matrix.shape[0]
-        f.array[:] = self.layout.collect(np.bincount(self._triangle_dofs().ravel(), forces.ravel(), size))
+        f.array[:] = self.layout.collect(sums(self._triangle_dofs().ravel(), forces.ravel(), size))
         return f
 
-    def spread_triangles(self, direction: PETSc.Vec) -> np.ndarray:
+    def spread_triangles(self, direction: PETSc.Vec) -> Reals:
         """(m, 21) the direction of the unknowns on the triangles' degrees of freedom, as in `gather_triangles`."""
         return np.concatenate(self.layout.spread(direction))[self._triangle_dofs()]
 
-    def _triangle_dofs(self) -> np.ndarray:
+    def _triangle_dofs(self) -> Ints:
         """(m, 21) local degrees of freedom of corners, vertices across edges and directors."""
         part = self.part
         across = part.corners.ravel()[np.maximum(part.across, 0)]
@@ -284,7 +285,7 @@ class Problem:
         for term in self.terms:
             term.predict(at, step)
 
-    def vertex_mass(self) -> np.ndarray:
+    def vertex_mass(self) -> Reals:
         """(local vertices,) lumped mass (kg)."""
         return self.part.mass[: self.layout.vertices : 3]
 
@@ -308,11 +309,11 @@ class Problem:
         matrix.setDiagonal(turning, addv=PETSc.InsertMode.ADD_VALUES)
         return matrix
 
-    def motion(self, direction: PETSc.Vec) -> np.ndarray:
+    def motion(self, direction: PETSc.Vec) -> Reals:
         """(local vertices, 3) displacements (m) of a direction of the unknowns."""
         return self.layout.spread(direction)[0].reshape(-1, 3)
 
-    def norm(self, own: np.ndarray) -> float:
+    def norm(self, own: Reals) -> float:
         """Norm of a vector of unknowns given by each rank's own."""
         return float(np.sqrt(self.comm.allreduce(float(own @ own))))
 
@@ -333,7 +334,7 @@ class Problem:
         """Largest displacement component of a direction of the unknowns over the shell's size."""
         return self.in_sizes(self.layout.spread(direction)[0])
 
-    def in_sizes(self, lengths: np.ndarray) -> float:
+    def in_sizes(self, lengths: Reals) -> float:
         """Largest of all ranks' lengths (m), whatever their sign, over the shell's size."""
         return float(self.comm.allreduce(float(np.abs(lengths).max(initial=0.0)), op=MPI.MAX)) / self._length
 
@@ -343,11 +344,11 @@ class Problem:
         total = self.comm.allreduce(np.array([part.fabric[0] @ part.weight, part.weight.sum()]))
         return float(total[0] / total[1])
 
-    def own_dofs(self) -> np.ndarray:
+    def own_dofs(self) -> Flags:
         """(3 local vertices,) marks the displacements that are counted on this rank."""
         return np.repeat(self.own, 3)
 
-    def weight_force(self) -> np.ndarray:
+    def weight_force(self) -> Reals:
         """(local dofs,) gravity at load factor 1 (N)."""
         return self.loads.weight
 
@@ -355,6 +356,6 @@ class Problem:
         """Diagonal of the start shape's bounding box (m)."""
         return self._length
 
-    def positions(self, y: PETSc.Vec) -> np.ndarray:
+    def positions(self, y: PETSc.Vec) -> Reals:
         """(local vertices, 3) positions of unknowns y (m)."""
         return self.point(y).positions

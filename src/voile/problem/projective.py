@@ -8,10 +8,11 @@ area sum_j (D_i . D_j) x_j (Bergou et al. 2006).
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.problem.partition import Part
 
 
-def constant_blocks(part: Part) -> np.ndarray:
+def constant_blocks(part: Part) -> Reals:
     """(m, 21, 21) N/m of the triangles: the same for the three components of corners and vertices across edges, none
     for directors. As in `Problem.gather_triangles`."""
     area, gradients = _shape_functions(part)
@@ -31,7 +32,7 @@ def constant_blocks(part: Part) -> np.ndarray:
     return blocks
 
 
-def _shape_functions(part: Part) -> tuple[np.ndarray, np.ndarray]:
+def _shape_functions(part: Part) -> tuple[Reals, Reals]:
     """(m,) areas at rest (m^2), (m, 3, 3) scalar products of the shape functions' gradients (1/m^2)."""
     corner = part.rest_points[part.rest_corners]
     edge = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)  # opposite to each corner
@@ -39,7 +40,7 @@ def _shape_functions(part: Part) -> tuple[np.ndarray, np.ndarray]:
     return area, np.einsum("mia,mja->mij", edge, edge) / (4.0 * area**2)[:, None, None]
 
 
-def _second_forms(part: Part, area: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+def _second_forms(part: Part, area: Reals, gradients: Reals) -> Reals:
     """(m, 3, 6) the linear II_i of corners and vertices across edges (m)."""
     jumps = -2.0 * area[:, None, None] * gradients  # |e_i| nu_i by corner
     length = 2.0 * area[:, None] * np.sqrt(np.einsum("mii->mi", gradients))
@@ -60,7 +61,7 @@ def _second_forms(part: Part, area: np.ndarray, gradients: np.ndarray) -> np.nda
     return 2.0 * (height / length)[:, :, None] * forms
 
 
-def _bending(part: Part, gradients: np.ndarray, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
+def _bending(part: Part, gradients: Reals, mu: Reals, lam: Reals) -> Reals:
     """(m, 3, 3) second derivatives of |A_rest^-1 B|^2_SV by the II_i (Pa/m^4)."""
     # The inverse of the first form in the basis of the edges from the first corner holds D_2 and D_3.
     a, b, c = gradients[:, 1, 1], gradients[:, 1, 2], gradients[:, 2, 2]

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
+from voile.arrays import Ints, Reals
 from voile.mesh.topology import build_topology
 from voile.problem.shell import Shell
 
@@ -20,27 +21,25 @@ class Prolongation:
     linear in every triangle, `positions` is smooth across them.
     """
 
-    def __init__(
-        self, fine: Shell, kept: np.ndarray, triangles: np.ndarray, corners: np.ndarray, weights: np.ndarray
-    ):
+    def __init__(self, fine: Shell, kept: Ints, triangles: Ints, corners: Ints, weights: Reals):
         self._fine = fine
         self.kept, self.triangles, self.corners, self.weights = kept, triangles, corners, weights
 
-    def interpolate(self, field: np.ndarray) -> np.ndarray:
+    def interpolate(self, field: Reals) -> Reals:
         """(nf, ...) a coarse field (nc, ...), linear in every coarse triangle."""
         return np.einsum("nk,nk...->n...", self.weights, field[self.corners])
 
-    def gather(self, load: np.ndarray) -> np.ndarray:
+    def gather(self, load: Reals) -> Reals:
         """(nc, ...) coarse loads that do the work of fine ones (nf, ...): the transpose of `interpolate`."""
         fine = np.repeat(np.arange(len(self.corners)), 3)
         shape = len(self.kept), len(self.corners)
         return sp.csr_matrix((self.weights.ravel(), (self.corners.ravel(), fine)), shape=shape) @ load
 
-    def restrict(self, field: np.ndarray) -> np.ndarray:
+    def restrict(self, field: Reals) -> Reals:
         """(nc, ...) a fine field (nf, ...) at the kept vertices."""
         return field[self.kept]
 
-    def positions(self, coarse: np.ndarray, load_factor: float | None = None) -> np.ndarray:
+    def positions(self, coarse: Reals, load_factor: float | None = None) -> Reals:
         """(nf, 3) m the fine shape to a coarse one (nc, 3).
 
         Kept vertices are where the coarse ones are; between them the surface bends least, measured on the fine rest
@@ -56,7 +55,7 @@ class Prolongation:
             fine = np.where(self._fine.fixed, start + load_factor * self._fine.motion, fine)
         return fine
 
-    def _turns(self, home: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    def _turns(self, home: Reals, coarse: Reals) -> Reals:
         """(nf, 3, 3) how the surface at the fine vertices turns from one coarse shape (nc, 3) to another: as the facets
         do, by area averaged at the coarse vertices, by weights between them."""
         before, after = (_bases(points[self.triangles]) for points in (home, coarse))
@@ -71,14 +70,14 @@ class Prolongation:
         return _rotation(self.interpolate(vertex))
 
     @cached_property
-    def _system(self) -> tuple[np.ndarray, SuperLU, sp.csr_matrix]:
+    def _system(self) -> tuple[Reals, SuperLU, sp.csr_matrix]:
         """Fine vertices that are not kept, the factor of their bending stiffness, its coupling to the kept ones."""
         loose = np.setdiff1d(np.arange(len(self.corners)), self.kept)
         rows = bending_form(self._fine)[loose]
         factor = splu(rows[:, loose].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         return loose, factor, rows[:, self.kept]
 
-    def _smooth(self, coarse: np.ndarray) -> np.ndarray:
+    def _smooth(self, coarse: Reals) -> Reals:
         """(nf, 3) the shape of least bending through coarse points (nc, 3)."""
         loose, factor, coupling = self._system
         fine = np.empty((len(self.corners), 3))
@@ -86,7 +85,7 @@ class Prolongation:
         return fine
 
 
-def start_shape(shell: Shell) -> np.ndarray:
+def start_shape(shell: Shell) -> Reals:
     """(n, 3) where a shell starts: with its seams closed where that has been worked out."""
     return shell.points if shell.closing is None else shell.points + shell.closing
 
@@ -124,7 +123,7 @@ def bending_form(shell: Shell) -> sp.csr_matrix:
     return (bend.T @ bend + span.T @ sp.diags(pull) @ span).tocsr()
 
 
-def _bases(corners: np.ndarray) -> np.ndarray:
+def _bases(corners: Reals) -> Reals:
     """(n, 3, 3) columns: two edges and the unit normal of triangles (n, 3, 3); the normal is none where there is no
     area."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -133,7 +132,7 @@ def _bases(corners: np.ndarray) -> np.ndarray:
     return np.stack([one, two, normal], axis=2)
 
 
-def _rotation(matrix: np.ndarray) -> np.ndarray:
+def _rotation(matrix: Reals) -> Reals:
     """(n, 3, 3) rotations nearest to matrices (n, 3, 3)."""
     left, _, right = np.linalg.svd(matrix)
     left[:, :, 2] *= np.linalg.det(left @ right)[:, None]

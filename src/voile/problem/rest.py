@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Reals
 from voile.problem.partition import Part
 from voile.problem.problem import Blocks, Problem
 
@@ -13,7 +14,7 @@ STILL = 0.1  # weight of panels' mean square displacement over the size, beside 
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
 
-def field_vector(problem: Problem, field: np.ndarray) -> PETSc.Vec:
+def field_vector(problem: Problem, field: Reals) -> PETSc.Vec:
     """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
     part, vector = problem.part, problem.create_vector()
     rows = part.matrix[: 3 * len(part.vertex)]
@@ -24,7 +25,7 @@ def field_vector(problem: Problem, field: np.ndarray) -> PETSc.Vec:
     return vector
 
 
-def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
+def rest_areas(part: Part) -> tuple[Reals, Reals]:
     """(m,) areas of the rest triangles and (m, 3, 3) their gradients by the corners."""
     x = part.rest_points[part.rest_corners]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -34,7 +35,7 @@ def rest_areas(part: Part) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * size, 0.5 * np.cross(unit[:, None, :], opposite)
 
 
-def rest_edges(part: Part) -> np.ndarray:
+def rest_edges(part: Part) -> Reals:
     """(m, 3) lengths of the rest triangles' edges."""
     x = part.rest_points[part.rest_corners]
     return np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
@@ -58,26 +59,26 @@ class RestDerivative:
         self.gravity = np.tile(problem.loads.gravity_at(problem.time), 3)
 
     @cached_property
-    def middle(self) -> np.ndarray:
+    def middle(self) -> Reals:
         """(m, 6, 6) second derivatives of the energy by the invariants and the rest invariants. They cost more than
         a forward solve's tangent, so `pull` does without, for a gradient alone."""
         return self.kernel.mixed(*self.shape)[0]
 
-    def blocks(self) -> np.ndarray:
+    def blocks(self) -> Reals:
         """(m, 21, 21): rows forces, columns rest positions; those of directors are zero."""
         blocks = np.zeros((len(self.left), 21, 21))
         blocks[:, :, :18] = np.matmul(self.left.transpose(0, 2, 1), np.matmul(self.middle, self.right))
         blocks[:, :9, :9] -= self.gravity[:, None] * self.masses[:, None, :]
         return blocks
 
-    def push(self, motion: np.ndarray) -> np.ndarray:
+    def push(self, motion: Reals) -> Reals:
         """(m, 21) forces (N) from rest displacements (m, 18) of corners and vertices across (m)."""
         rate = np.matmul(self.middle, np.matmul(self.right, motion[:, :, None]))
         force = np.matmul(rate.transpose(0, 2, 1), self.left)[:, 0]
         force[:, :9] -= np.sum(self.masses * motion[:, :9], axis=1)[:, None] * self.gravity
         return force
 
-    def pull(self, motion: np.ndarray) -> np.ndarray:
+    def pull(self, motion: Reals) -> Reals:
         """(m, 18): displacements and turns (m, 21) times the derivative."""
         rate = np.matmul(self.left, motion[:, :, None])[:, :, 0]
         if "middle" in self.__dict__:
@@ -146,7 +147,7 @@ class RestShape:
             local[:, :9] -= np.tile(problem.loads.gravity_at(problem.time), 3) * share[:, None]
         return problem.gather_triangles(local)
 
-    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+    def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,) and edges (m, 3) of rest triangles over those of the base."""
         part = self.problem.part
         return rest_areas(part)[0] / self._area0, rest_edges(part) / self._edge0
@@ -195,7 +196,7 @@ class RestShape:
         out.array[~self.is_vertex] = 0.0
         return out
 
-    def idle(self) -> np.ndarray:
+    def idle(self) -> Flags:
         """(own,) marks entries that are no design variables."""
         return ~self.is_vertex
 
@@ -207,7 +208,7 @@ class PanelRest:
     shell must have the panels as rest shape.
     """
 
-    def __init__(self, problem: Problem, base: np.ndarray):
+    def __init__(self, problem: Problem, base: Reals):
         self.problem, self.base = problem, base
         self._derivative: RestDerivative | None = None
         self.set(self.create())
@@ -219,11 +220,11 @@ class PanelRest:
         here = size if self.problem.comm.rank == 0 else 0
         return PETSc.Vec().createMPI((here, size), comm=self.problem.comm)
 
-    def coordinates(self, z: PETSc.Vec) -> np.ndarray:
+    def coordinates(self, z: PETSc.Vec) -> Reals:
         """(p, 2) the panels' coordinates (m), on every rank."""
         return self.base + self._everywhere(z)
 
-    def _everywhere(self, z: PETSc.Vec) -> np.ndarray:
+    def _everywhere(self, z: PETSc.Vec) -> Reals:
         return self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
 
     def set(self, z: PETSc.Vec) -> None:
@@ -232,11 +233,11 @@ class PanelRest:
         points[:, :2] = self.coordinates(z)[self.problem.part.rest_vertex]
         self.problem.set_rest(points, flat=True)
 
-    def _signed(self) -> np.ndarray:
+    def _signed(self) -> Reals:
         x = self.problem.part.rest_points[self.problem.part.rest_corners]
         return 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 2]
 
-    def ratios(self) -> tuple[np.ndarray, np.ndarray]:
+    def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,), negative where turned over, and edges (m, 3) of rest triangles over those of the base."""
         return self._signed() / self._area0, rest_edges(self.problem.part) / self._edge0
 
@@ -303,6 +304,6 @@ class PanelRest:
             out.array[:] = total.ravel()
         return out
 
-    def idle(self) -> np.ndarray:
+    def idle(self) -> Flags:
         """(own,) marks entries that are no design variables: none."""
         return np.zeros(self.base.size if self.problem.comm.rank == 0 else 0, dtype=bool)

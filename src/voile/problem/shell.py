@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
@@ -12,7 +13,7 @@ from voile.problem.load import Load
 SAME = 1e-3  # of an edge's length: rest shapes of two that are sewn together lie in one place
 
 
-def _no_ints() -> np.ndarray:
+def _no_ints() -> Ints:
     return np.zeros(0, dtype=np.int32)
 
 
@@ -36,36 +37,36 @@ class Shell:
     seam_bending: edges that are sewn to one another at both ends bend as one edge; else they turn freely.
     """
 
-    points: np.ndarray
-    triangles: np.ndarray
-    rest_points: np.ndarray
-    rest_triangles: np.ndarray
+    points: Reals
+    triangles: Ints
+    rest_points: Reals
+    rest_triangles: Ints
     flat: bool
     model: str
-    thickness: np.ndarray
-    young: np.ndarray
-    poisson: np.ndarray
-    density: np.ndarray
-    fixed: np.ndarray
-    motion: np.ndarray
-    clamped_edges: np.ndarray = field(default_factory=_no_ints)
-    slave: np.ndarray = field(default_factory=_no_ints)
-    first: np.ndarray = field(default_factory=_no_ints)
-    second: np.ndarray = field(default_factory=_no_ints)
-    weight: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    thickness: Reals
+    young: Reals
+    poisson: Reals
+    density: Reals
+    fixed: Flags
+    motion: Reals
+    clamped_edges: Ints = field(default_factory=_no_ints)
+    slave: Ints = field(default_factory=_no_ints)
+    first: Ints = field(default_factory=_no_ints)
+    second: Ints = field(default_factory=_no_ints)
+    weight: Reals = field(default_factory=lambda: np.zeros(0))
+    gravity: Reals = field(default_factory=lambda: np.zeros(3))
     pressure: float = 0.0
-    patch_pressure: np.ndarray | None = None
-    force: np.ndarray | None = None
-    moment: np.ndarray | None = None
-    moves: tuple[tuple[np.ndarray, Motion], ...] = ()
+    patch_pressure: Reals | None = None
+    force: Reals | None = None
+    moment: Reals | None = None
+    moves: tuple[tuple[Reals, Motion], ...] = ()
     load_laws: dict[str, Load] = field(default_factory=dict)
-    closing: np.ndarray | None = None
+    closing: Reals | None = None
     seam_bending: bool = False
-    weave: np.ndarray | None = None
-    springs: np.ndarray | None = None
-    bars: np.ndarray | None = None
-    extra_mass: np.ndarray | None = None
+    weave: Reals | None = None
+    springs: Reals | None = None
+    bars: Reals | None = None
+    extra_mass: Reals | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 
     @property
@@ -82,7 +83,7 @@ class Shell:
             self.topology = _without_pockets(self, label)
 
 
-def _without_pockets(shell: Shell, label: np.ndarray) -> Topology:
+def _without_pockets(shell: Shell, label: Ints) -> Topology:
     """The topology with hinges opened whose two opposite vertices are sewn together (the tip of a dart): they stay
     folded flat whatever the shape, so they carry no bending."""
     topology = shell.topology
@@ -94,7 +95,7 @@ def _without_pockets(shell: Shell, label: np.ndarray) -> Topology:
     )
 
 
-def _through_seams(shell: Shell, label: np.ndarray) -> tuple[Topology, np.ndarray]:
+def _through_seams(shell: Shell, label: Ints) -> tuple[Topology, Ints]:
     """The topology in which boundary edges that are sewn to one another at both ends are one, with one director, and
     the clamped edges in its order. Where the rest shape is no plane pattern it must have them in one place, too. label
     (n,): what each vertex is joined to."""
@@ -137,18 +138,18 @@ def _through_seams(shell: Shell, label: np.ndarray) -> tuple[Topology, np.ndarra
     return merged, np.unique(number[shell.clamped_edges]).astype(np.int32)
 
 
-def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def triangle_areas(points: Reals, triangles: Ints) -> Reals:
     """(m,) areas of triangles (m, 3) of points (n, 3)."""
     return 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
 
 
-def area_vectors(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def area_vectors(points: Reals, triangles: Ints) -> Reals:
     """(m, 3) normals of triangles (m, 3) of points (n, 3), twice as long as their areas."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
 
-def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:
+def hilbert_order(points: Reals, bits: int = 16) -> Ints:
     """Order of points (n, 3) along a Hilbert curve (Skilling 2004, "Programming the Hilbert curve")."""
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (2**bits - 1) / max(float((high - low).max()), 1e-300)
@@ -177,7 +178,7 @@ def hilbert_order(points: np.ndarray, bits: int = 16) -> np.ndarray:
     return np.argsort(key, kind="stable")
 
 
-def seam_gaps(shell: Shell) -> np.ndarray:
+def seam_gaps(shell: Shell) -> Reals:
     """(s,) distance of the start shape's seams (m), for each sewn vertex."""
     x, w = shell.points, shell.weight[:, None]
     apart = x[shell.slave] - (1.0 - w) * x[shell.first] - w * x[shell.second]

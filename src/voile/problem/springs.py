@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from voile.arrays import Flags, Ints, Reals
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
 from voile.problem.terms import Point, Term
@@ -12,7 +13,7 @@ from voile.problem.terms import Point, Term
 NAME = "springs"
 
 
-def springs_of(part: Part, own: np.ndarray, comm: MPI.Comm) -> tuple[Term, ...]:
+def springs_of(part: Part, own: Flags, comm: MPI.Comm) -> tuple[Term, ...]:
     """The terms of a part's elastic supports and bars, the same on all ranks; own (local vertices,): counted here."""
     there = comm.allreduce(np.array([len(part.springs), len(part.bars)]))
     found: list[Term] = []
@@ -32,15 +33,15 @@ class Springs(Term):
     """Of the vertices to their places `home` (local vertices, 3) m, with stiffness (local vertices, 3) N/m along each
     axis; own (local vertices,) marks those counted on this rank."""
 
-    stiffness: np.ndarray
-    home: np.ndarray
-    own: np.ndarray
+    stiffness: Reals
+    home: Reals
+    own: Flags
 
     def energies(self, at: Point) -> dict[str, float]:
         each = self.stiffness * (at.positions - self.home) ** 2
         return {NAME: 0.5 * float(each[self.own].sum())}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.stiffness * (self.home - at.positions))
 
     def blocks(self, at: Point, kind: str) -> Blocks:
@@ -56,14 +57,14 @@ class Bars(Term):
     Of all (c,): `everywhere` (c, 2) their vertices in the input, `here` (c,) which are on this rank.
     """
 
-    ends: np.ndarray
-    everywhere: np.ndarray
-    here: np.ndarray
-    stiffness: np.ndarray
-    length: np.ndarray
-    own: np.ndarray
+    ends: Ints
+    everywhere: Ints
+    here: Flags
+    stiffness: Reals
+    length: Reals
+    own: Flags
 
-    def _stretched(self, at: Point) -> tuple[np.ndarray, np.ndarray]:
+    def _stretched(self, at: Point) -> tuple[Reals, Reals]:
         """(b,) distances and (b, 3) unit vectors from the first end to the second."""
         apart = at.positions[self.ends[:, 1]] - at.positions[self.ends[:, 0]]
         distance = np.linalg.norm(apart, axis=1)
@@ -74,7 +75,7 @@ class Bars(Term):
         each = self.stiffness * (distance - self.length) ** 2
         return {NAME: 0.5 * float(each[self.own].sum())}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         distance, along = self._stretched(at)
         pull = (self.stiffness * (distance - self.length))[:, None] * along
         total = np.zeros_like(at.positions)

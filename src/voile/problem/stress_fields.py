@@ -9,6 +9,7 @@ Moments take the second form in place of a/2; they are positive where they bend 
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Array, Ints, Reals
 from voile.problem.problem import Problem
 
 # What output.fields may name, and the cell fields that each writes.
@@ -24,9 +25,7 @@ FIELDS = {
 TENSOR = ((0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2))  # VTK's order: xx yy zz xy yz xz
 
 
-def shell_fields(
-    problem: Problem, y: PETSc.Vec, names: tuple[str, ...]
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def shell_fields(problem: Problem, y: PETSc.Vec, names: tuple[str, ...]) -> tuple[dict[str, Reals], Ints]:
     """The cell fields of FIELDS' `names` at the triangles (k,) that count on this rank, and the triangles' indices in
     the input."""
     part, at = problem.part, problem.point(y)
@@ -46,7 +45,7 @@ def shell_fields(
     thickness = part.fabric[0][:, None, None]
     surface = [force / thickness + side * 6.0 * bending / thickness**2 for side in (1.0, -1.0)]
     frame = _frame(edges)
-    found: dict[str, np.ndarray] = {}
+    found: dict[str, Array] = {}
     if "membrane_force" in names:
         found |= {"membrane_force": _six(force), "principal_membrane_force": _principal(force, frame)}
     if "bending_moment" in names:
@@ -66,35 +65,35 @@ def shell_fields(
     return {name: values[own] for name, values in found.items()}, part.triangle[own]
 
 
-def _edges(corner: np.ndarray) -> np.ndarray:
+def _edges(corner: Reals) -> Reals:
     """(3, m, 3) the edges of triangles (m, 3, 3), each across from its corner."""
     return np.stack([corner[:, 2] - corner[:, 1], corner[:, 0] - corner[:, 2], corner[:, 1] - corner[:, 0]])
 
 
-def _area(edges: np.ndarray) -> np.ndarray:
+def _area(edges: Reals) -> Reals:
     return 0.5 * np.linalg.norm(np.cross(edges[2], -edges[1]), axis=1)
 
 
-def _frame(edges: np.ndarray) -> np.ndarray:
+def _frame(edges: Reals) -> Reals:
     """(m, 2, 3) an orthonormal basis of each triangle, the first along its edge from corner 0 to 1."""
     first = edges[2] / np.linalg.norm(edges[2], axis=1, keepdims=True)
     second = -edges[1] - np.einsum("ti,ti->t", -edges[1], first)[:, None] * first
     return np.stack([first, second / np.linalg.norm(second, axis=1, keepdims=True)], axis=1)
 
 
-def _slopes(bending: str, angles: np.ndarray) -> np.ndarray:
+def _slopes(bending: str, angles: Reals) -> Reals:
     """(m, 3) f'(alpha) of a variant of bending; of other models, which are linear in small angles, 1."""
     cosine = np.cos(angles)
     return {"average": cosine, "sin": cosine, "tan": cosine**-2}.get(bending, np.ones_like(angles))
 
 
-def _in_space(n: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _in_space(n: Reals, edges: Reals) -> Reals:
     """(m, 3, 3) n^ab d_a d_b of components (m, 3) 11, 22, 12."""
     d = np.stack([edges[2], -edges[1]], axis=1)
     return np.einsum("tab,tai,tbj->tij", n[:, [[0, 2], [2, 1]]], d, d)
 
 
-def _green(edges: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _green(edges: Reals, rest: Reals) -> Reals:
     """(m, 3, 3) Green's strain, in space at the rest shape."""
     now, home = (np.stack([e[2], -e[1]], axis=1) for e in (edges, rest))
     metric = np.einsum("tai,tbi->tab", home, home)
@@ -103,7 +102,7 @@ def _green(edges: np.ndarray, rest: np.ndarray) -> np.ndarray:
     return np.einsum("tab,tai,tbj->tij", grown, dual, dual)
 
 
-def _along_axes(strain: np.ndarray, rest: np.ndarray, warp: np.ndarray) -> np.ndarray:
+def _along_axes(strain: Reals, rest: Reals, warp: Reals) -> Reals:
     """(m, 3) extension along the warp, with components (m, 2) in the edges from the first corner, and along the weft,
     and the change of their angle."""
     first, side = warp[:, :1] * rest[2] - warp[:, 1:] * rest[1], np.cross(rest[2], -rest[1])
@@ -113,7 +112,7 @@ def _along_axes(strain: np.ndarray, rest: np.ndarray, warp: np.ndarray) -> np.nd
     return np.column_stack([factor * np.einsum("tij,ti,tj->t", strain, a, b) for a, b, factor in pairs])
 
 
-def _principal(tensor: np.ndarray, frame: np.ndarray) -> np.ndarray:
+def _principal(tensor: Reals, frame: Reals) -> Reals:
     """(m, 2) principal values of tensors (m, 3, 3) in the planes of frames (m, 2, 3), the larger first."""
     plane = np.einsum("tij,tai,tbj->tab", tensor, frame, frame)
     mean, half = 0.5 * (plane[:, 0, 0] + plane[:, 1, 1]), 0.5 * (plane[:, 0, 0] - plane[:, 1, 1])
@@ -121,10 +120,10 @@ def _principal(tensor: np.ndarray, frame: np.ndarray) -> np.ndarray:
     return np.column_stack([mean + radius, mean - radius])
 
 
-def _von_mises(principal: np.ndarray) -> np.ndarray:
+def _von_mises(principal: Reals) -> Reals:
     first, second = principal.T
     return np.sqrt(first**2 - first * second + second**2)
 
 
-def _six(tensor: np.ndarray) -> np.ndarray:
+def _six(tensor: Reals) -> Reals:
     return tensor[:, *TENSOR]

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
+from voile.arrays import Ints, Reals
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.partition import gathered
 from voile.problem.problem import Problem
@@ -19,12 +20,12 @@ class Held:
     """What a [[fix]] holds: vertices (k,) along `axes` (indices), and with `clamp` the edges between them."""
 
     name: str
-    vertices: np.ndarray
+    vertices: Ints
     axes: tuple[int, ...]
     clamp: bool
 
 
-def support_forces(problem: Problem, y: PETSc.Vec) -> np.ndarray:
+def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
     """(local vertices, 3) forces (N) that supports exert on the shell, complete for this rank's own: what balances
     elastic forces, loads and contact along degrees of freedom that follow no unknown. Inertia is left out."""
     at, count = problem.point(y), problem.layout.vertices
@@ -36,7 +37,7 @@ def support_forces(problem: Problem, y: PETSc.Vec) -> np.ndarray:
     return -(held * forces).reshape(-1, 3)
 
 
-def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
+def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
     """(k, 2) vertices in the input's order and (k, 3) moments (N m) on the shell of the clamps of the half edges whose
     triangles count on this rank: about the edge, what keeps its half hinge angle."""
     part, at = problem.part, problem.point(y)

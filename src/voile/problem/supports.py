@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.problem.shell import Shell, triangle_areas
 
@@ -33,7 +34,7 @@ def check_supports(shell: Shell) -> None:
             )
 
 
-def free_motions(shell: Shell) -> np.ndarray:
+def free_motions(shell: Shell) -> Reals:
     """(n, 3, k) rigid motions that the supports leave to the shell's pieces, about each piece's centre, rotations over
     its size: displacements of order 1."""
     pieces, found = _pieces(shell), []
@@ -48,7 +49,7 @@ def free_motions(shell: Shell) -> np.ndarray:
     return np.stack(found, axis=2) if found else np.zeros((len(shell.points), 3, 0))
 
 
-def hinged_parts(shell: Shell) -> list[tuple[np.ndarray, np.ndarray]]:
+def hinged_parts(shell: Shell) -> list[tuple[Ints, Ints]]:
     """Parts of the shell without supports that hang on the rest by one vertex or two alone, about which they turn
     freely: those and all the part's."""
     t, n = shell.triangles, len(shell.points)
@@ -68,7 +69,7 @@ def hinged_parts(shell: Shell) -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def without_flaps(shell: Shell, parts: list[tuple[np.ndarray, np.ndarray]]) -> Shell:
+def without_flaps(shell: Shell, parts: list[tuple[Ints, Ints]]) -> Shell:
     """The shell with hinged parts out of its balance: they have no stiffness, and their joints carry their weight in
     equal shares. What belongs to nothing else is held where it is."""
     t = shell.triangles
@@ -93,7 +94,7 @@ def without_flaps(shell: Shell, parts: list[tuple[np.ndarray, np.ndarray]]) -> S
     )
 
 
-def _pieces(shell: Shell) -> np.ndarray:
+def _pieces(shell: Shell) -> Ints:
     """(n,) index of each vertex's piece; vertices of no triangle are pieces of their own."""
     n = len(shell.points)
     t = shell.triangles
@@ -106,7 +107,7 @@ def _pieces(shell: Shell) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
-def _free_modes(shell: Shell, vertices: np.ndarray) -> np.ndarray:
+def _free_modes(shell: Shell, vertices: Ints) -> Reals:
     """(k, 6) basis of the rigid motions (translation, rotation times size) that the supports allow."""
     x = shell.points[vertices]
     centre, size = x.mean(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-300)
@@ -128,7 +129,7 @@ def _free_modes(shell: Shell, vertices: np.ndarray) -> np.ndarray:
     return vectors[:, values < 1e-12 * max(values[-1], 1.0)].T
 
 
-def _describe(shell: Shell, modes: np.ndarray) -> str:
+def _describe(shell: Shell, modes: Reals) -> str:
     """What of the free modes the load does not hold; empty if it holds all."""
     gravity = np.asarray(shell.gravity, dtype=float)
     loaded = bool(gravity.any() or shell.pressed or shell.force is not None or shell.moment is not None)
@@ -151,8 +152,8 @@ def _describe(shell: Shell, modes: np.ndarray) -> str:
     return ""
 
 
-def _direction(v: np.ndarray) -> str:
-    v = v / max(np.linalg.norm(v), 1e-300)
+def _direction(v: Reals) -> str:
+    v = v / max(float(np.linalg.norm(v)), 1e-300)
     k = int(np.argmax(np.abs(v)))
     if abs(v[k]) > 1.0 - 1e-9:
         return AXES[k]

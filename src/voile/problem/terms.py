@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile import _kernels
+from voile.arrays import Reals
 from voile.problem.matrix import Blocks
 
 
@@ -13,13 +14,13 @@ class Point:
     """Where a potential is evaluated, in local degrees of freedom: u (3 vertices,) m counts from the unknowns' origin,
     `displacement` (3 vertices,) m from the start shape; phi (edges,) director angles; positions (vertices, 3) m."""
 
-    u: np.ndarray
-    phi: np.ndarray
-    displacement: np.ndarray
-    positions: np.ndarray
+    u: Reals
+    phi: Reals
+    displacement: Reals
+    positions: Reals
     time: float
 
-    def over_dofs(self, forces: np.ndarray) -> np.ndarray:
+    def over_dofs(self, forces: Reals) -> Reals:
         """(dofs,) of forces on the vertices (vertices, 3) N alone."""
         return np.concatenate([forces.ravel(), np.zeros(len(self.phi))])
 
@@ -32,7 +33,7 @@ class Term:
         """This rank's shares of its parts (J), by name."""
         return {}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         """(dofs,) minus its gradient (N; N m on directors), complete for what this rank's unknowns move."""
         return np.zeros(len(at.u) + len(at.phi))
 
@@ -46,9 +47,9 @@ class Term:
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         """Writes what of its Hessian comes by triangles."""
 
-    def predict(self, at: Point, step: np.ndarray) -> None:
+    def predict(self, at: Point, step: Reals) -> None:
         """Extrapolates its stresses linearly over a step of the degrees of freedom (dofs,), for a mixed Hessian."""
 
-    def longest_step(self, at: Point, step: np.ndarray, most: float) -> float:
+    def longest_step(self, at: Point, step: Reals, most: float) -> float:
         """Length up to `most`, over a step of the degrees of freedom (dofs,), that it admits on this rank."""
         return most

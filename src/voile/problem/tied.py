@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import dot
 from voile.problem.matrix import Blocks
@@ -18,13 +19,13 @@ class Springs:
     relative positions rest (p, 3) m; own (p,) marks those counted on this rank."""
 
     partner: int
-    vertex: np.ndarray
-    weight: np.ndarray
-    reaction: np.ndarray
-    rest: np.ndarray
-    own: np.ndarray
+    vertex: Ints
+    weight: Reals
+    reaction: Reals
+    rest: Reals
+    own: Flags
 
-    def extension(self, x: np.ndarray) -> np.ndarray:
+    def extension(self, x: Reals) -> Reals:
         """(p, 3) m from rest at positions x (n, 3)."""
         return np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.rest
 
@@ -32,7 +33,7 @@ class Springs:
 class TiedContact(Term):
     """Linear springs in place of all active contacts: closed and without slip they carry the present reactions."""
 
-    def __init__(self, contact: NaturalMap, x: np.ndarray, t: float):
+    def __init__(self, contact: NaturalMap, x: Reals, t: float):
         """Those active at positions x (n, 3)."""
         self.contact, self.stiffness = contact, STIFF * contact.stiffness
         self.springs: list[Springs] = []
@@ -44,8 +45,10 @@ class TiedContact(Term):
             here = np.einsum("ps,psi->pi", g.weight, wide[g.vertex])
             rest = here - p.slip - (g.gap / p.gradient_norm)[:, None] * p.unit
             active = normal > 0.0
-            parts = (g.vertex, g.weight, reaction, rest, contact.counted(p))
-            self.springs.append(Springs(p.index, *(part[active] for part in parts)))
+            counted = contact.counted(p)[active]
+            self.springs.append(
+                Springs(p.index, g.vertex[active], g.weight[active], reaction[active], rest[active], counted)
+            )
 
     @property
     def active(self) -> bool:
@@ -61,7 +64,7 @@ class TiedContact(Term):
             )
         return {"contact": total}
 
-    def forces(self, at: Point) -> np.ndarray:
+    def forces(self, at: Point) -> Reals:
         total = np.zeros_like(at.positions)
         for s in self.springs:
             partner = self.contact.partners[s.partner]

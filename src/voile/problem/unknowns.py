@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.partition import Part
 from voile.problem.state import State
 
@@ -38,12 +39,12 @@ class Unknowns:
         self.base = np.zeros(self.vertices)
         self._hold(self.part.closure.copy(), 0.0)
 
-    def _hold(self, closure: np.ndarray, time: float) -> None:
+    def _hold(self, closure: Reals, time: float) -> None:
         """What of the degrees of freedom is not C unknowns, at a time."""
         self._closure, self._since = closure, time
         self._held = closure, time
 
-    def held(self, time: float) -> np.ndarray:
+    def held(self, time: float) -> Reals:
         """(dofs,) the closure and what supports have moved; kept for the next call."""
         if self._held[1] != time:
             self._held = self._closure + self.part.supports.between(self._since, time), time
@@ -55,23 +56,23 @@ class Unknowns:
 
     # ---- degrees of freedom ----
 
-    def spread(self, y: PETSc.Vec) -> tuple[np.ndarray, np.ndarray]:
+    def spread(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """C y: displacements (3 local vertices,) and director angles (local edges,)."""
         self._ghost_scatter.scatter(y, self._ghost_values, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
         dofs = self.part.matrix @ np.concatenate([y.array_r, self._ghost_values.array_r])
         return dofs[: self.vertices], dofs[self.vertices :]
 
-    def shape(self, y: PETSc.Vec, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def shape(self, y: PETSc.Vec, time: float) -> tuple[Reals, Reals]:
         """Displacements from the origin (3 local vertices,) m and director angles (local edges,)."""
         u, phi = self.spread(y)
         held = self.held(time)
         return u + held[: self.vertices], phi + held[self.vertices :]
 
-    def collect(self, dofs: np.ndarray) -> np.ndarray:
+    def collect(self, dofs: Reals) -> Reals:
         """C^T of local forces: (own unknowns,)."""
         return self._collect @ dofs
 
-    def diagonal(self, dofs: np.ndarray) -> np.ndarray:
+    def diagonal(self, dofs: Reals) -> Reals:
         """(own unknowns,) diagonal of C^T D C for a diagonal D over local degrees of freedom."""
         squares = self._collect.copy()
         squares.data **= 2

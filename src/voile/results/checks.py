@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 
 LARGEST = (
@@ -72,13 +73,13 @@ def dataset(path: Path, group: Any, name: str, kind: str = "numbers", columns: i
     return found
 
 
-def check_indices(path: Path, name: str, indices: np.ndarray, count: int) -> None:
+def check_indices(path: Path, name: str, indices: Ints, count: int) -> None:
     """InputError unless all are from 0 to count - 1."""
     if indices.size and not (indices.min() >= 0 and indices.max() < count):
         raise InputError(f"{path}: damaged result file: {name} has indices outside 0 to {count - 1}")
 
 
-def check_finite(path: Path, name: str, values: np.ndarray) -> None:
+def check_finite(path: Path, name: str, values: Reals) -> None:
     """InputError for numbers that are not finite, or no quantity of this world."""
     with np.errstate(invalid="ignore"):
         good = bool((np.abs(values) <= LARGEST).all())

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import scipy.sparse as sp
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.results.checks import member
 
@@ -21,8 +22,8 @@ class FrictionProblem(NamedTuple):
     """u = W r + q in frames (normal, tangent 1, tangent 2): W (3c, 3c), q (3c,), mu (c,)."""
 
     W: sp.csr_matrix
-    q: np.ndarray
-    mu: np.ndarray
+    q: Reals
+    mu: Reals
 
 
 def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
@@ -72,7 +73,7 @@ def _read_fclib(group: h5py.Group) -> FrictionProblem:
     return FrictionProblem(W, _values(group, "vectors/q", rows), _values(group, "vectors/mu"))
 
 
-def _values(group: h5py.Group, name: str, size: int | None = None) -> np.ndarray:
+def _values(group: h5py.Group, name: str, size: int | None = None) -> Array:
     """The dataset as a flat array; of that size where given."""
     found = member(Path(group.file.filename), group, name)
     if not isinstance(found, h5py.Dataset):
@@ -110,8 +111,8 @@ def write_solution(
     path: Path,
     source: Path,
     problem: FrictionProblem,
-    r: np.ndarray,
-    states: np.ndarray,
+    r: Reals,
+    states: Ints,
     info: Any,
     *,
     converged: bool,

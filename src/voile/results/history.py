@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voile.arrays import Array, Reals
 from voile.errors import InputError, on_root
 from voile.results.checks import check_length, dataset, intact, member
 from voile.results.folder import replace, told
@@ -28,11 +29,11 @@ PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times w
 class Column:
     """An array that rows are added to."""
 
-    def __init__(self, rows: np.ndarray):
+    def __init__(self, rows: Reals):
         self._array, self.count = np.array(rows), len(rows)
 
     @property
-    def rows(self) -> np.ndarray:
+    def rows(self) -> Reals:
         """Those so far."""
         return self._array[: self.count]
 
@@ -48,7 +49,7 @@ class Column:
 class HistoryWriter:
     """Rows of figures; only rank 0 has any. kept: columns of the rows that a resumed run begins with."""
 
-    def __init__(self, path: Path, comm: MPI.Comm, kept: Mapping[str, np.ndarray] | None = None):
+    def __init__(self, path: Path, comm: MPI.Comm, kept: Mapping[str, Array] | None = None):
         self.path, self.comm = path, comm
         self._columns = {name: Column(values) for name, values in (kept or {}).items()}
         self._h5py = import_h5py(comm)
@@ -87,7 +88,7 @@ class HistoryWriter:
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
 
 
-def read_history(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+def read_history(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Columns of a history (file, or folder with it). Raises InputError where there is none."""
     path = Path(path)
     path = path / "history.h5" if path.is_dir() else path

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.mesh import Notches, Pattern, Piece, SewnSeam
 from voile.results.folder import replace
@@ -71,5 +72,5 @@ def _piece(data: dict[str, Any]) -> Piece:
     return Piece(data["name"], points, triangles, stretches, outline, cut, turns, grain, notches)
 
 
-def _pairs(rows: list[list[float]]) -> np.ndarray:
+def _pairs(rows: list[list[float]]) -> Reals:
     return np.array(rows, dtype=float).reshape(-1, 2)

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.results.checks import check_finite, check_indices, check_length, dataset, intact, member
 from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS, Field, find_field
@@ -31,9 +32,9 @@ class Restart:
     """
 
     value: float
-    points: np.ndarray
-    edge_angles: np.ndarray | None
-    point_data: dict[str, np.ndarray]
+    points: Reals
+    edge_angles: Reals | None
+    point_data: dict[str, Array]
     scalars: dict[str, float]
 
 
@@ -107,7 +108,7 @@ class Result:
         values = self._data(OWN_VALUES, "reals", 0)
         if not 0 < self.n_steps <= len(values):
             raise InputError(f"{path}: damaged result file: {self.n_steps} steps, but room for {len(values)}")
-        self.values: np.ndarray = values[: self.n_steps]
+        self.values: Reals = values[: self.n_steps]
         check_finite(path, OWN_VALUES, self.values)
         self.ended = len(values) == self.n_steps  # else the run goes on, or was killed
         self.n_points, self.n_cells = (
@@ -128,29 +129,29 @@ class Result:
         self._file.close()
 
     @cached_property
-    def triangles(self) -> np.ndarray:
+    def triangles(self) -> Ints:
         """(m, 3) vertex indices."""
         return self._indices("VTKHDF/Connectivity", 0, self.n_points).reshape(-1, 3)
 
     @cached_property
-    def start(self) -> np.ndarray:
+    def start(self) -> Reals:
         """(n, 3) positions at the start of the run, m."""
         return self._places("VTKHDF/PointData/start", self.n_points)
 
     @cached_property
-    def rest(self) -> np.ndarray:
+    def rest(self) -> Reals:
         """(nr, 3) rest positions, m; which belong to a triangle: `rest_triangles`."""
         own = "voile/rest_points"
         return self._places(own) if self._has(own) else self._places("VTKHDF/PointData/rest", self.n_points)
 
     @cached_property
-    def rest_triangles(self) -> np.ndarray:
+    def rest_triangles(self) -> Ints:
         """(m, 3) indices into `rest`; equal to `triangles` unless the rest shape has its own vertices."""
         own = "voile/rest_triangles"
         return self._indices(own, 3, len(self.rest), self.n_cells) if self._has(own) else self.triangles
 
     @cached_property
-    def edges(self) -> np.ndarray | None:
+    def edges(self) -> Ints | None:
         """(e, 2) vertex pairs of the director angles, None where the run has none."""
         return self._indices("voile/edges", 2, self.n_points) if self._has("voile/edges") else None
 
@@ -163,7 +164,7 @@ class Result:
             triangles = self._indices(f"{OBSTACLES}/{k}/triangles", 3, len(points))
             yield Body(name.tobytes().decode("utf-8"), float(friction), points, triangles)
 
-    def placements(self, step: int = -1) -> np.ndarray:
+    def placements(self, step: int = -1) -> Reals:
         """(bodies, 4, 4) matrices that take the bodies' points at load factor 0, (x, y, z, 1), to a step's."""
         paths = [f"{OBSTACLES}/{k}/placement" for k in range(len(self.bodies))]
         rows = [self._rows(path, self._step(step), 1, 16) for path in paths]
@@ -184,11 +185,11 @@ class Result:
     def cell_fields(self) -> tuple[str, ...]:
         return self._names("VTKHDF/CellData", CELL_FIELDS)
 
-    def points(self, step: int = -1) -> np.ndarray:
+    def points(self, step: int = -1) -> Reals:
         """(n, 3) positions, m."""
         return self._rows(POINTS, self._step(step) * self.n_points, self.n_points, 3)
 
-    def field(self, name: str, step: int = -1) -> np.ndarray:
+    def field(self, name: str, step: int = -1) -> Array:
         """Point data (n, ...) or cell data (m, ...) of that name; unit: `unit(name)`."""
         for kind, n, table, names in (
             ("Point", self.n_points, POINT_FIELDS, self.point_fields),
@@ -219,7 +220,7 @@ class Result:
         """SI unit of a field, "" where it has none."""
         return self.describe(name).unit
 
-    def edge_angles(self, step: int = -1) -> np.ndarray | None:
+    def edge_angles(self, step: int = -1) -> Reals | None:
         """(e,) director angles, rad, in the order of `edges`; None where the run has none."""
         if self.edges is None or not self._has(EDGES):
             return None
@@ -231,12 +232,12 @@ class Result:
         step = self._step(step)
         return {name: float(values[step]) for name, values in self.figures().items()}
 
-    def figures(self) -> dict[str, np.ndarray]:
+    def figures(self) -> dict[str, Reals]:
         """(n_steps,) each, the figures stored with the steps."""
         names = member(self.path, self._file, FIGURES)
         return {name: self._figures(f"{FIGURES}/{name}") for name in (() if names is None else names)}
 
-    def _figures(self, path: str) -> np.ndarray:
+    def _figures(self, path: str) -> Reals:
         with intact(self.path):
             values = self._data(path, "reals", 0)[: self.n_steps]
         check_length(self.path, path, len(values), self.n_steps)
@@ -276,25 +277,25 @@ class Result:
         with intact(self.path):
             return dataset(self.path, self._file, path, kind, columns)
 
-    def _read(self, path: str, kind: str = "numbers", columns: int | None = None) -> np.ndarray:
+    def _read(self, path: str, kind: str = "numbers", columns: int | None = None) -> Array:
         with intact(self.path):
             return self._data(path, kind, columns)[()]
 
-    def _indices(self, path: str, columns: int, count: int, rows: int | None = None) -> np.ndarray:
+    def _indices(self, path: str, columns: int, count: int, rows: int | None = None) -> Ints:
         """Indices below a count; rows: how many there must be."""
         found = self._read(path, "indices", columns).astype(np.int64, copy=False)
         check_length(self.path, path, len(found), len(found) if rows is None else rows)
         check_indices(self.path, path, found, count)
         return found
 
-    def _places(self, path: str, rows: int | None = None) -> np.ndarray:
+    def _places(self, path: str, rows: int | None = None) -> Reals:
         """Points (rows, 3) m."""
         found = self._read(path, "reals", 3)
         check_length(self.path, path, len(found), len(found) if rows is None else rows)
         check_finite(self.path, path, found)
         return found
 
-    def _rows(self, path: str, begin: int, count: int, columns: int, finite: bool = True) -> np.ndarray:
+    def _rows(self, path: str, begin: int, count: int, columns: int, finite: bool = True) -> Array:
         """Rows of a step."""
         with intact(self.path):
             found = self._data(path, "numbers", columns)[max(0, begin) : max(0, begin) + count]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voile.arrays import Array
 from voile.errors import InputError, on_all, on_root
 from voile.results.folder import fresh, replace, told
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 FORMAT = 2  # of the arrays
 
 
-def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, np.ndarray]) -> None:
+def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, Array]) -> None:
     """Replaces what is in the run's folder by each rank's arrays after a number of steps. Collective."""
     inside = folder / "restart"
     on_root(comm, lambda: inside.mkdir(exist_ok=True))
@@ -70,7 +71,7 @@ def newest_step(folder: Path, comm: MPI.Comm) -> int:
     return comm.bcast(on_root(comm, read))
 
 
-def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, np.ndarray]:
+def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, Array]:
     """This rank's arrays of the newest complete set. Raises InputError where there is none for as many ranks."""
     step = newest_step(folder, comm)
     with np.load(folder / "restart" / f"{step}-{comm.rank}.npz", allow_pickle=False) as file:

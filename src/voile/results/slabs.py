@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voile.arrays import Array, Ints
+
 if TYPE_CHECKING:
     from mpi4py import MPI
 
@@ -17,7 +19,7 @@ class Slabs:
     on every rank). Collective.
     """
 
-    def __init__(self, comm: MPI.Comm, n: int, index: np.ndarray, gather: bool):
+    def __init__(self, comm: MPI.Comm, n: int, index: Ints, gather: bool):
         index = np.asarray(index, dtype=np.int64)
         fractions = np.minimum(np.arange(comm.size + 1), 1 if gather else comm.size)
         bounds = fractions * n // (1 if gather else comm.size)
@@ -39,7 +41,7 @@ class Slabs:
     def __len__(self) -> int:
         return self.end - self.begin
 
-    def move(self, rows: np.ndarray) -> np.ndarray:
+    def move(self, rows: Array) -> Array:
         """The slab's rows in global order, from this rank's `rows` (k, ...) in `index` order. Collective."""
         from mpi4py import MPI
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field, find_field
 
 VTK_TRIANGLE = 5
@@ -19,8 +20,8 @@ class Body:
 
     name: str
     friction: float
-    points: np.ndarray
-    triangles: np.ndarray
+    points: Reals
+    triangles: Ints
 
 
 @dataclass(frozen=True)
@@ -33,19 +34,19 @@ class StaticMesh:
     stay as they are; bodies: the obstacles.
     """
 
-    start: np.ndarray
-    triangles: np.ndarray
-    rest: np.ndarray | None = None
-    rest_triangles: np.ndarray | None = None
-    edges: np.ndarray | None = None
-    group: np.ndarray | None = None
+    start: Reals
+    triangles: Ints
+    rest: Reals | None = None
+    rest_triangles: Ints | None = None
+    edges: Ints | None = None
+    group: Ints | None = None
     group_names: tuple[str, ...] = ()
-    point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
-    cell_data: Mapping[str, np.ndarray] = field(default_factory=dict)
+    point_data: Mapping[str, Array] = field(default_factory=dict)
+    cell_data: Mapping[str, Reals] = field(default_factory=dict)
     bodies: tuple[Body, ...] = ()
 
 
-def static_datasets(mesh: StaticMesh) -> dict[str, np.ndarray]:
+def static_datasets(mesh: StaticMesh) -> dict[str, Array]:
     """Datasets of the result file by path. Raises ValueError where sizes or names do not fit."""
     start = np.asarray(mesh.start, dtype=np.float64)
     triangles = np.asarray(mesh.triangles, dtype=np.int64)

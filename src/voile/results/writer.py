@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError, NotWritten, on_all, on_root
 from voile.results.fields import (
     CELL_FIELDS,
@@ -89,7 +90,7 @@ class ResultWriter:
         self._h5py = import_h5py(comm)
         gather = gather or os.environ.get("VOILE_GATHER", "") not in ("", "0")
         self.parallel = comm.size > 1 and bool(self._h5py.get_config().mpi) and not gather
-        self._static: dict[str, np.ndarray] = {}
+        self._static: dict[str, Array] = {}
         self._group_names: tuple[str, ...] = ()
         if comm.rank == 0:
             if mesh is None:
@@ -115,16 +116,16 @@ class ResultWriter:
     def write_step(
         self,
         value: float,
-        points: np.ndarray,
-        point_index: np.ndarray,
+        points: Reals,
+        point_index: Ints,
         *,
-        point_data: Mapping[str, np.ndarray] | None = None,
-        cell_data: Mapping[str, np.ndarray] | None = None,
-        cell_index: np.ndarray | None = None,
-        edge_angles: np.ndarray | None = None,
-        edge_index: np.ndarray | None = None,
+        point_data: Mapping[str, Array] | None = None,
+        cell_data: Mapping[str, Reals] | None = None,
+        cell_index: Ints | None = None,
+        edge_angles: Reals | None = None,
+        edge_index: Ints | None = None,
         scalars: Mapping[str, float] | None = None,
-        placements: np.ndarray | None = None,
+        placements: Reals | None = None,
     ) -> None:
         """Append one step at `value` (time in s or load factor); readable when it returns.
 
@@ -160,7 +161,7 @@ class ResultWriter:
             on_all(self.comm, partial(self._put, path, self.steps * n + plan.begin, slab))
         self._commit(value, single)
 
-    def _put(self, path: str, begin: int, rows: np.ndarray) -> None:
+    def _put(self, path: str, begin: int, rows: Array) -> None:
         if self._file is not None:
             with told(self.path):
                 self._file[path][begin : begin + len(rows)] = rows
@@ -286,7 +287,7 @@ class ResultWriter:
         self._capacity = capacity
         self._reopen(self.path)
 
-    def _create(self, path: Path, capacity: int, static: Mapping[str, np.ndarray], steps: int = 0) -> None:
+    def _create(self, path: Path, capacity: int, static: Mapping[str, Array], steps: int = 0) -> None:
         """An empty result for `capacity` steps: all metadata, the static rows, room for the stepped ones. `steps` of
         them are to be written at once: the disk must have room for these."""
         h5py = self._h5py

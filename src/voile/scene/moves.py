@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.keys import File, Number, Rejected, Vector3, key, vector
 
@@ -62,7 +63,7 @@ class Move:
         return bool(self.path or any(self.velocity) or any(self.angular_velocity))
 
 
-def read_path(path: Path, duration: float) -> tuple[np.ndarray, np.ndarray]:
+def read_path(path: Path, duration: float) -> tuple[Reals, Reals]:
     """Times (k,) s and rows (k, 6) of displacement (m) and rotation vector (rad) of a table of motion (csv), of which
     the first line may be a heading. Raises InputError where it is none, runs backwards, starts with a jump, or does not
     last from 0 to the duration (s)."""

@@ -4,6 +4,7 @@ import numpy as np
 from mpi4py import MPI
 
 from voile import _projective
+from voile.arrays import Reals
 
 FAINT = 1e-14  # of the largest: singular values of the changes' products that are round-off
 
@@ -21,7 +22,7 @@ class Anderson:
         """Starts anew."""
         self._memory.forget()
 
-    def step(self, y: np.ndarray, step: np.ndarray, out: np.ndarray) -> None:
+    def step(self, y: Reals, step: Reals, out: Reals) -> None:
         """Writes to `out` the step to take from the iterate y, where the iteration itself would take `step`."""
         memory, depth = self._memory, self.depth
         memory.add(y, step)

@@ -7,6 +7,7 @@ planes' reactions may resist it, no shape of the shell is an equilibrium.
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.contact import contact_of
 from voile.problem.problem import Problem
 from voile.solver.methods.steps import WORTH
@@ -16,7 +17,7 @@ EXACT = 1e-13  # of the loads: resistance of a reaction that is round-off
 CERTAIN = 1e-6  # of the loads: what must be left of them lest round-off decide
 
 
-def slides(problem: Problem, why: str, way: np.ndarray) -> str:
+def slides(problem: Problem, why: str, way: Reals) -> str:
     """That the shell leaves, and which way (3,)."""
     way = way / max(float(np.linalg.norm(way)), 1e-300)
     bodies = ", ".join(f"{name} (friction {mu:g})" for name, mu in contact_of(problem).frictions)
@@ -46,7 +47,7 @@ def unbalanced(problem: Problem, y: PETSc.Vec, tolerance: float) -> str:
     return slides(problem, "no reactions of the obstacles balance its loads", way)
 
 
-def unresisted(load: np.ndarray, normals: np.ndarray, frictions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def unresisted(load: Reals, normals: Reals, frictions: Reals) -> tuple[Reals, Reals]:
     """What planes (k, 3) at least leave of a load (3,) N, zero where they may bear it, and the normals (b, 3) of
     those that bear then. Least squares over rays of their cones, to which those are added that resist what
     is left."""

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile import _projective
+from voile.arrays import Ints
 from voile.problem.problem import Problem
 from voile.solver.linear import Counts, LinearSolver, factored
 
@@ -20,7 +21,7 @@ class ConstantMatrix:
     def __init__(self, problem: Problem, matrix: PETSc.Mat, counts: Counts):
         self.counts = counts
         self._several: LinearSolver | None = None
-        self._groups: list[tuple[np.ndarray, _projective.Cholesky]] = []
+        self._groups: list[tuple[Ints, _projective.Cholesky]] = []
         if problem.comm.size > 1:
             self._several = factored(matrix, counts, "")
             return
@@ -32,7 +33,7 @@ class ConstantMatrix:
         start, column, value = matrix.getValuesCSR()
         whole = sp.csr_matrix((value, column, start), shape=matrix.getSize())
         unknowns = [np.flatnonzero(problem.layout.axis == axis) for axis in range(3)]
-        kept: list[tuple[list[np.ndarray], sp.csr_matrix]] = []
+        kept: list[tuple[list[Ints], sp.csr_matrix]] = []
         for rows in filter(len, unknowns):
             part = whole[rows][:, rows]
             part.eliminate_zeros()

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from voile import _friction
+from voile.arrays import Reals
 from voile.contact.law import check_problem, friction_error
 from voile.errors import InputError, NotConverged
 
@@ -23,20 +24,20 @@ class FrictionInfo:
     factorisations: int
     proximal_steps: int
     method: str
-    history: np.ndarray
+    history: Reals
 
 
 class FrictionNotConverged(NotConverged):
     """Carries the best reactions found, `reaction` (3c,), and their `info`."""
 
-    def __init__(self, message: str, reaction: np.ndarray, info: FrictionInfo):
+    def __init__(self, message: str, reaction: Reals, info: FrictionInfo):
         super().__init__(message)
         self.reaction, self.info = reaction, info
 
 
 def solve_friction(
     W: Any, q: Any, mu: Any, tol: float = 1e-8, max_iterations: int = 20_000
-) -> tuple[np.ndarray, FrictionInfo]:
+) -> tuple[Reals, FrictionInfo]:
     """Reactions (3c,) of c contacts with friction_error <= tol.
 
     W: Delassus operator (3c, 3c), sparse in any format or dense, may be singular (hyperstatic); q (3c,) relative

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
+from voile.arrays import Reals
 from voile.errors import NotConverged
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -39,17 +40,17 @@ SMALL_MOVE = 1e-5  # sizes of the shell over which a support's effect is differe
 class Modes:
     """Eigenvalues, ascending, and their shapes: displacements whose largest is 1 (local vertices, 3)."""
 
-    values: np.ndarray
-    shapes: list[np.ndarray]
+    values: Reals
+    shapes: list[Reals]
 
     @property
-    def frequencies(self) -> np.ndarray:
+    def frequencies(self) -> Reals:
         """Hz, of values omega^2 (1/s^2); negative where the mode grows, at the rate 2 pi times it."""
         return np.sign(self.values) * np.sqrt(np.abs(self.values)) / (2.0 * np.pi)
 
 
 def vibrations(
-    problem: Problem, y: PETSc.Vec, count: int, counts: Counts, rigid: np.ndarray | None = None
+    problem: Problem, y: PETSc.Vec, count: int, counts: Counts, rigid: Reals | None = None
 ) -> Modes:
     """The lowest omega^2 (1/s^2) of an equilibrium; exactly zero where it is round-off. rigid (local vertices, 3, k):
     motions, independent, that are known to cost nothing: round-off in them would spoil the others."""
@@ -130,7 +131,7 @@ def _geometric(problem: Problem, y: PETSc.Vec, stiffness: PETSc.Mat, solver: Lin
     return matrix
 
 
-def _rate(problem: Problem, y: PETSc.Vec, solver: LinearSolver) -> tuple[PETSc.Vec, np.ndarray]:
+def _rate(problem: Problem, y: PETSc.Vec, solver: LinearSolver) -> tuple[PETSc.Vec, Reals]:
     """By the load factor: the unknowns that answer the residual's change, and what supports move (local dofs,)."""
     t, layout = problem.time, problem.layout
     step = 1.0
@@ -187,7 +188,7 @@ class Pencil:
 
     def lowest(
         self, count: int, shift: float, solver: LinearSolver, still: Sequence[PETSc.Vec] = ()
-    ) -> tuple[np.ndarray, list[PETSc.Vec]]:
+    ) -> tuple[Reals, list[PETSc.Vec]]:
         """The `count` lowest eigenvalues above a shift, ascending, and their vectors; less where there are fewer.
         solver: of K - shift G, which is positive definite; still: vectors of the eigenvalue 0 that are known."""
         values, vectors = np.zeros(len(still)), list(still)
@@ -219,7 +220,7 @@ class Pencil:
         found: list[PETSc.Vec],
         first: PETSc.Vec,
         tolerance: float = TOLERANCE,
-    ) -> tuple[np.ndarray, list[PETSc.Vec]]:
+    ) -> tuple[Reals, list[PETSc.Vec]]:
         """Further eigenpairs beside those found."""
         definite, room = solver.ksp.getOperators()[0], self.problem.unknowns - len(found)
         product = self.problem.create_vector()
@@ -254,7 +255,7 @@ class Pencil:
         eps.destroy()
         return np.array(values), vectors
 
-    def shapes(self, values: np.ndarray, modes: list[PETSc.Vec]) -> list[np.ndarray]:
+    def shapes(self, values: Reals, modes: list[PETSc.Vec]) -> list[Reals]:
         """(local vertices, 3) the modes' displacements, largest 1. Those of one multiple eigenvalue, and all signs, are
         chosen by fixed fields: the same on any number of ranks."""
         mass, found = self.problem.mass_matrix(rotary=False), list[np.ndarray]()
@@ -284,7 +285,7 @@ class Pencil:
             chosen.append(vector)
         return chosen
 
-    def _unit(self, mode: PETSc.Vec) -> np.ndarray:
+    def _unit(self, mode: PETSc.Vec) -> Reals:
         shape = self.problem.motion(mode)
         largest = np.linalg.norm(shape, axis=1).max(initial=0.0)
         return shape / self.problem.comm.allreduce(float(largest), op=MPI.MAX)
@@ -297,7 +298,7 @@ class Pencil:
         return [field_vector(problem, field[vertex]) for field in fields]
 
 
-def _cut(values: np.ndarray, count: int) -> float | None:
+def _cut(values: Reals, count: int) -> float | None:
     """Between two different eigenvalues, at least `count` of them below it; None where there are not so many."""
     for k in range(count, len(values)):
         if values[k] - values[k - 1] > ALIKE * abs(values[k]):

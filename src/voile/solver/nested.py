@@ -15,6 +15,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.contact import contact_of, vertex_areas, with_obstacles
 from voile.problem.levels import coarsen
 from voile.problem.partition import gathered
@@ -129,7 +130,7 @@ class Nested:
         if problem.contact:
             self._press(table[:, 3:])
 
-    def _press(self, table: np.ndarray) -> None:
+    def _press(self, table: Reals) -> None:
         """Reactions from pressures and shears (local vertices, 4 per obstacle) N/m^2."""
         history, area = contact_of(self.problem).history, vertex_areas(self.problem)
         for k in range(table.shape[1] // 4):

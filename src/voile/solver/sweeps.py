@@ -5,6 +5,7 @@ import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile import _projective
+from voile.arrays import Ints, Reals
 from voile.problem.contact import contact_of
 from voile.problem.problem import Problem
 
@@ -39,13 +40,13 @@ class Resistance:
             unknown.astype(np.int32),
         )
 
-    def gather(self, force: PETSc.Vec) -> np.ndarray:
+    def gather(self, force: PETSc.Vec) -> Reals:
         """(unknowns here,) of a vector's, a copy."""
         self._scatter.scatter(force, self._near, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
         return self._near.array.copy()
 
 
-def _used(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def _used(problem: Problem) -> tuple[Reals, Ints]:
     """Global numbers of the unknowns, ascending, and each vertex's and axis's place among them, -1 without any."""
     part, contact = problem.part, contact_of(problem)
     known = np.concatenate([part.first_global + np.arange(part.owned), part.ghost_global])

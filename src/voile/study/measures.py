@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Ints, Reals, sums
 from voile.errors import InputError
 from voile.mesh import Surface, build_topology, read_mesh, refine, select, surface_loops
 from voile.results import read_result
@@ -95,7 +96,7 @@ def surface_of(scene: Scene) -> Surface:
     return refine(read_mesh(spec.mesh, spec.scale, spec.seams), spec.refine, f"{scene.path}: shell.refine")
 
 
-def _selected(surface: Surface, point: Point) -> np.ndarray:
+def _selected(surface: Surface, point: Point) -> Ints:
     return select(
         surface,
         surface_loops(surface, build_topology(surface.triangles)),
@@ -157,7 +158,7 @@ def _at_point(point: Point, surface: Surface, folder: Path) -> float:
     return float(weight @ part / weight.sum())
 
 
-def mean_weights(surface: Surface, chosen: np.ndarray, on_border: bool = False) -> np.ndarray:
+def mean_weights(surface: Surface, chosen: Ints, on_border: bool = False) -> Reals:
     """(n,) weights of a mean over selected vertices that finer meshes agree on: by the area of their triangles if each
     is in one, else by the length of their edges on the border, else of all their edges, else all alike; on_border:
     no areas."""
@@ -174,5 +175,5 @@ def mean_weights(surface: Surface, chosen: np.ndarray, on_border: bool = False) 
                 x[:, 1] - x[:, 0] if own.shape[1] == 2 else np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]),
                 axis=1,
             )
-            return np.bincount(own.ravel(), weights=np.repeat(size / own.shape[1], own.shape[1]), minlength=n)
+            return sums(own.ravel(), np.repeat(size / own.shape[1], own.shape[1]), n)
     return inside.astype(float)

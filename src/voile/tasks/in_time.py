@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
@@ -17,7 +18,7 @@ from voile.tasks.run import NO_CONTACT, Run, rows
 MISSED = 2.0  # tolerances: laws measured anew at a step's end miss up to 1.4 times what a method saw
 
 
-def initial_velocity(job: Run, x: np.ndarray) -> np.ndarray:
+def initial_velocity(job: Run, x: Reals) -> Reals:
     """(n, 3) m/s of points x (n, 3) m that move as the scene's shell does at the start."""
     shell = job.scene.shell
     about = x - np.array(shell.angular_center)

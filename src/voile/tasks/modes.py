@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
@@ -89,7 +90,7 @@ def _equilibrium(job: Run, shell: Shell | None, problem: Problem, about: float) 
     return start, path
 
 
-def _rigid(shell: Shell | None, problem: Problem, path: Path) -> np.ndarray | None:
+def _rigid(shell: Shell | None, problem: Problem, path: Path) -> Reals | None:
     """(local vertices, 3, k) rigid motions that supports leave: they cost nothing where nothing loads the shell."""
     if problem.load_norm(path.state) or problem.moves or problem.contact:
         return None
@@ -126,7 +127,7 @@ def _write(job: Run, shell: Shell | None, problem: Problem, path: Path, modes: M
         writer.write_step(problem.time, scalars=scalars, **here)
 
 
-def _tell(job: Run, figures: np.ndarray) -> None:
+def _tell(job: Run, figures: Reals) -> None:
     """What was found, in lines of the progress; what a user should know of it in notes."""
     spec = job.scene.modes
     unit = "load factor" if spec.buckling else "Hz"

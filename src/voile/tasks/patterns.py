@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError, NotConverged
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.overlaps import split_overlaps
@@ -19,7 +20,7 @@ from voile.scene.pattern import AXES
 from voile.scene.schema import Scene
 
 
-def lay_flat(model, shell: Shell, points: np.ndarray, cut_overlaps: bool) -> FlatPanels:
+def lay_flat(model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
     several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. cut_overlaps:
     panels that overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot
@@ -33,7 +34,7 @@ def lay_flat(model, shell: Shell, points: np.ndarray, cut_overlaps: bool) -> Fla
     return replace(flat, panels=add_stitches(flat.panels, surface.stitches))
 
 
-def _cut(model, shell: Shell, points: np.ndarray) -> Panels:
+def _cut(model, shell: Shell, points: Reals) -> Panels:
     surface = model.surface
     panels = split(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
     return panels if surface.stitches is None else add_stitches(panels, surface.stitches)
@@ -77,12 +78,12 @@ def cut_apart(shell: Shell, flat: FlatPanels) -> Shell:
     )
 
 
-def first_copies(flat: FlatPanels) -> np.ndarray:
+def first_copies(flat: FlatPanels) -> Ints:
     """(n,) panel vertex that stands for each vertex of the surface."""
     return np.unique(flat.panels.vertex, return_index=True)[1]
 
 
-def moved(flat: FlatPanels, coordinates: np.ndarray) -> FlatPanels:
+def moved(flat: FlatPanels, coordinates: Reals) -> FlatPanels:
     """The panels with other coordinates (p, 2) m."""
     panels = flat.panels
     stretches = distortion(panels.points[panels.vertex], panels.corners, coordinates)
@@ -110,7 +111,7 @@ def wishes(scene: Scene) -> Rules:
     )
 
 
-def draw(flat: FlatPanels, scene: Scene, up: np.ndarray | None) -> Pattern:
+def draw(flat: FlatPanels, scene: Scene, up: Reals | None) -> Pattern:
     """The pattern of flat panels as the scene asks, its grain along `up` in space. Raises InputError for one that
     overlaps itself, or that does not fit the scene's keys."""
     allowance = scene.inverse.seam_allowance
@@ -137,11 +138,11 @@ def pattern_of_surface(
     folder: Path,
     model,
     shell: Shell,
-    rest: np.ndarray,
+    rest: Reals,
     scene: Scene,
-    up: np.ndarray | None,
+    up: Reals | None,
     picture: bool,
-) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
+) -> tuple[dict, Reals | None, Ints | None]:
     """The pattern of a rest surface (n, 3) m laid flat with the least distortion, drawn where `picture` or it has
     several pieces: its figures, and its points (p, 2) m with those of each triangle's corners (m, 3). Says why where
     there is none."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from voile.arrays import Ints, Reals
 from voile.errors import Hinged, on_root
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.pattern import write_rest_obj
@@ -77,7 +78,7 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
     problem, figures = job.problem(cut), None
     target = gathered(problem, problem.positions(problem.create_vector()))
 
-    def write(coordinates: np.ndarray) -> None:
+    def write(coordinates: Reals) -> None:
         nonlocal flat, figures
         last = flat
         flat = on_root(comm, lambda: last and moved(last, coordinates))
@@ -104,17 +105,17 @@ def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
     return flat, cut_apart(shell, flat)
 
 
-def _sewn(shell) -> np.ndarray:
+def _sewn(shell) -> Reals:
     """(n, 3) the start shape with its seams closed."""
     return shell.points + build_constraints(shell, False).closure[: shell.points.size].reshape(-1, 3)
 
 
-def _guess(job: Run) -> np.ndarray | None:
+def _guess(job: Run) -> Reals | None:
     """(n, 3) the rest shape that the scene gives as first guess, None without."""
     return None if job.model is None or job.scene.shell.rest is None else job.model.rest.points
 
 
-def _borders(model) -> np.ndarray | None:
+def _borders(model) -> Ints | None:
     """Vertices where groups meet and on the scene's seams, which may have an angle defect."""
     if model is None:
         return None
@@ -126,7 +127,7 @@ def _borders(model) -> np.ndarray | None:
     return np.union1d(np.flatnonzero(lowest < highest), model.cuts)
 
 
-def _standing(flat) -> np.ndarray | None:
+def _standing(flat) -> Ints | None:
     """(p,) the surface's vertex that a panel vertex stands for, -1 for further copies; None without panels."""
     if flat is None:
         return None
@@ -136,7 +137,7 @@ def _standing(flat) -> np.ndarray | None:
     return vertex
 
 
-def _kept(values: dict, keep: np.ndarray | None) -> dict:
+def _kept(values: dict, keep: Ints | None) -> dict:
     """A step's rows for the surface's own vertices; panels have no director angles to store."""
     if keep is None:
         return values
@@ -153,11 +154,11 @@ def _title(scene) -> str:
     return f"rest shape of {scene.scene.name or scene.path}"
 
 
-def _up(shell) -> np.ndarray | None:
+def _up(shell) -> Reals | None:
     return -shell.gravity if shell.gravity.any() else None
 
 
-def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: np.ndarray) -> dict:
+def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: Reals) -> dict:
     """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
     assert shell is not None
     pattern = draw(flat, job.scene, _up(shell))
@@ -167,7 +168,7 @@ def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: np.nd
     return write_pattern_files(job.folder, pattern)
 
 
-def _write_surface(job: Run, shell: Shell | None, rest: np.ndarray) -> dict:
+def _write_surface(job: Run, shell: Shell | None, rest: Reals) -> dict:
     """rest.obj of a rest shape (n, 3) m, its flat pattern as texture coordinates, and the pattern of least distortion;
     the pattern's figures."""
     assert job.model and shell

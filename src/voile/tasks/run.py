@@ -20,6 +20,7 @@ from petsc4py import PETSc
 
 import voile
 from voile import blas
+from voile.arrays import Array
 from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.explain import modelled
@@ -101,7 +102,7 @@ class Run:
 
     # ---- results ----
 
-    def mesh(self, shell: Shell | None, directors: bool, **point_data: numpy.ndarray) -> StaticMesh | None:
+    def mesh(self, shell: Shell | None, directors: bool, **point_data: Array) -> StaticMesh | None:
         """What the result file holds once, on rank 0."""
         if not (self.model and shell):
             return None
@@ -242,12 +243,15 @@ class Steps:
         self.run.writing += time.perf_counter() - start
 
 
-def rows(problem: Problem, y: PETSc.Vec, fields: tuple[str, ...] = ()) -> dict:
+def rows(problem: Problem, y: PETSc.Vec, fields: tuple[str, ...] = ()) -> dict[str, Any]:
     """What the result file takes of a state: this rank's rows and the obstacles' placements; fields: the scene's
     output.fields."""
     part, (u, phi) = problem.part, problem.local(y)
     own = part.owned_vertices
-    values = {"points": (part.points + u.reshape(-1, 3))[own], "point_index": part.vertex[own]}
+    values: dict[str, Any] = {
+        "points": (part.points + u.reshape(-1, 3))[own],
+        "point_index": part.vertex[own],
+    }
     if problem.directors:
         values |= {"edge_angles": phi[part.owned_edges], "edge_index": part.edge[part.owned_edges]}
     if fields:

@@ -10,9 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 import voile
+from voile.arrays import Ints, Reals
 from voile.errors import NotConverged
 from voile.mesh import write_obj
 from voile.results import Result, read_result, read_summary
@@ -23,9 +22,9 @@ from voile.scene.plain import plain, toml
 class Mesh(NamedTuple):
     """points (n, 3) m, triangles (m, 3); groups: (m,) index and names."""
 
-    points: np.ndarray
-    triangles: np.ndarray
-    groups: tuple[np.ndarray, tuple[str, ...]] | None = None
+    points: Reals
+    triangles: Ints
+    groups: tuple[Ints, tuple[str, ...]] | None = None
 
 
 @dataclass
@@ -43,19 +42,19 @@ class Outcome:
         return read_result(self.folder)
 
     @cached_property
-    def history(self) -> dict[str, np.ndarray]:
+    def history(self) -> dict[str, Reals]:
         return read_history(self.folder)
 
     @property
     def converged(self) -> bool:
         return bool(self.summary["converged"])
 
-    def positions(self, step: int = -1) -> np.ndarray:
+    def positions(self, step: int = -1) -> Reals:
         """(n, 3) m."""
         return self.result.points(step)
 
     @property
-    def displacements(self) -> np.ndarray:
+    def displacements(self) -> Reals:
         """(n, 3) m, from the start to the end."""
         return self.positions() - self.result.start
 

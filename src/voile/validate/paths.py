@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench
 from voile.validate.protocol import Check, Curve, Findings, Plot, close
 from voile.validate.shells import Case
@@ -19,7 +20,7 @@ class Measure:
     axis: int
     sign: float = 1.0
 
-    def of(self, case: Case, displacements: np.ndarray) -> float:
+    def of(self, case: Case, displacements: Reals) -> float:
         return float(self.sign * displacements[case.marks[self.mark], self.axis])
 
 
@@ -27,8 +28,8 @@ def beside_path(
     bench: Bench,
     case: Case,
     measures: Sequence[Measure],
-    loads: np.ndarray,
-    published: np.ndarray,
+    loads: Reals,
+    published: Reals,
     at: dict[float, float],
     steps: int = 10,
 ) -> Findings:

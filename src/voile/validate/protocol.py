@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pkgutil import iter_modules
 
-import numpy as np
-
+from voile.arrays import Reals
 from voile.errors import NotConverged
 from voile.validate import protocols
 from voile.validate.bench import Bench
@@ -55,7 +54,7 @@ def small(quantity: str, value: float, bound: float) -> Check:
 
 
 def order(
-    quantity: str, errors: Sequence[float] | np.ndarray, low: float, high: float, halvings: int = 1
+    quantity: str, errors: Sequence[float] | Reals, low: float, high: float, halvings: int = 1
 ) -> Check:
     """The order of convergence over the last halvings of the cells."""
     ratio = abs(errors[-1 - halvings] / errors[-1])
@@ -67,8 +66,8 @@ class Curve:
     """x, y (k,) of a line, or of points where `points`."""
 
     label: str
-    x: Sequence[float] | np.ndarray
-    y: Sequence[float] | np.ndarray
+    x: Sequence[float] | Reals
+    y: Sequence[float] | Reals
     points: bool = False
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Flags, Reals
 from voile.mesh.grids import grid
 from voile.validate.bench import Mesh
 
@@ -30,12 +31,12 @@ def strip(nx: int, ny: int, width: float = 0.05, uniform: float = 1.0) -> Mesh:
     return mesh
 
 
-def nodes(mask: np.ndarray) -> dict[str, list[int]]:
+def nodes(mask: Flags) -> dict[str, list[int]]:
     """The selection of the vertices of a mask (n,)."""
     return {"nodes": np.flatnonzero(mask).tolist()}
 
 
-def clamp(mask: np.ndarray, **more: Any) -> dict[str, Any]:
+def clamp(mask: Flags, **more: Any) -> dict[str, Any]:
     """A support that holds a mask of vertices and their directors."""
     return {"select": nodes(mask), "clamp": True, **more}
 
@@ -45,7 +46,7 @@ def fabric(thickness: float, young: float = YOUNG, poisson: float = 0.0, density
     return {"thickness": thickness, "young": young, "poisson": poisson, "density": density}
 
 
-def shared_by_length(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> np.ndarray:
+def shared_by_length(points: Reals, line: Flags, total: Reals) -> Reals:
     """(n, 3) dead forces of a total (3,) spread evenly by length over a straight line of vertices along an axis."""
     at = np.flatnonzero(line)
     place = points[at, np.ptp(points[at], axis=0).argmax()]
@@ -56,7 +57,7 @@ def shared_by_length(points: np.ndarray, line: np.ndarray, total: np.ndarray) ->
     return share[:, None] / np.ptp(place) * total
 
 
-def line_forces(points: np.ndarray, line: np.ndarray, total: np.ndarray) -> list[dict[str, Any]]:
+def line_forces(points: Reals, line: Flags, total: Reals) -> list[dict[str, Any]]:
     """The same as [[loads.force]] tables."""
     force = shared_by_length(points, line, total)
     return [

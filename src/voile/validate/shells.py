@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals, sums
 from voile.mesh.grids import grid
 from voile.validate.bench import Mesh
 from voile.validate.shapes import clamp, fabric, nodes, shared_by_length
@@ -16,9 +17,9 @@ class Case:
     axis at least, whose edges do not turn; force (n, 3) N; material: [shell] keys; marks: vertices by name."""
 
     mesh: Mesh
-    fixed: np.ndarray
-    clamped: list[np.ndarray]
-    force: np.ndarray
+    fixed: Flags
+    clamped: list[Flags]
+    force: Reals
     material: dict[str, float]
     marks: dict[str, int]
 
@@ -48,26 +49,26 @@ class Case:
 class Sides(NamedTuple):
     """Masks (n,) of the sides of a grid in the parameters u and v."""
 
-    u0: np.ndarray
-    u1: np.ndarray
-    v0: np.ndarray
-    v1: np.ndarray
+    u0: Flags
+    u1: Flags
+    v0: Flags
+    v1: Flags
 
 
-def mapped(nu: int, nv: int, diagonals: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sides]:
+def mapped(nu: int, nv: int, diagonals: str) -> tuple[Reals, Reals, Ints, Sides]:
     """u, v (n,) in [0, 1], triangles, and the sides of a grid."""
     uv, triangles = grid(nu, nv, diagonals)
     u, v = uv.T
     return u, v, triangles, Sides(u < 1e-9, u > 1 - 1e-9, v < 1e-9, v > 1 - 1e-9)
 
 
-def only(mask: np.ndarray) -> int:
+def only(mask: Flags) -> int:
     """The one vertex of a mask."""
     (vertex,) = np.flatnonzero(mask)
     return int(vertex)
 
 
-def none(u: np.ndarray) -> np.ndarray:
+def none(u: Reals) -> Reals:
     return np.zeros(len(u), dtype=bool)
 
 
@@ -181,11 +182,11 @@ def roof(around: int, along: int) -> Case:
     return Case(Mesh(points, triangles), fixed, [side.u0, side.v0], force, fabric(0.25, 4.32e8), marks)
 
 
-def areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def areas(points: Reals, triangles: Ints) -> Reals:
     """(n,) m^2 of each vertex: a third of its triangles."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
+    return sums(triangles.ravel(), np.repeat(third, 3), len(points))
 
 
 # ---- the square airbag ----

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench, Mesh
 from voile.validate.shapes import fabric, sheet
 
@@ -17,14 +18,14 @@ class Motion:
     """Of every step: time (k,) s; speed down the slope and lift along its normal (k,) m/s; contact (k,) active
     vertices; fastest (k,) m/s. Of the steps written, at times `at` (w,): way and height (w,) m."""
 
-    time: np.ndarray
-    speed: np.ndarray
-    lift: np.ndarray
-    contact: np.ndarray
-    fastest: np.ndarray
-    at: np.ndarray
-    way: np.ndarray
-    height: np.ndarray
+    time: Reals
+    speed: Reals
+    lift: Reals
+    contact: Reals
+    fastest: Reals
+    at: Reals
+    way: Reals
+    height: Reals
 
 
 def on_slope(

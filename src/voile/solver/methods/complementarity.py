@@ -6,6 +6,7 @@ Unknowns y and a reaction r for each candidate, a pair of vertex and obstacle ne
 -contact_snes_type (vinewtonrsls, vinewtonssls); options of that prefix go to it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Ints, Reals
 from voile.contact.contact import Contact
 from voile.errors import InputError
 from voile.problem.contact import contact_of
@@ -158,7 +160,7 @@ class Inequality:
         matrix.assemble()
         return matrix
 
-    def _gap_rows(self, rows: list[tuple[np.ndarray, np.ndarray]]) -> PETSc.Mat:
+    def _gap_rows(self, rows: Sequence[tuple[Ints, Reals]]) -> PETSc.Mat:
         """Derivative of the scaled gaps by the unknowns y."""
         part, contact = self.problem.part, self.contact
         count = self.count

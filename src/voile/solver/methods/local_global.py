@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.contact.local import LocalLaws
 from voile.problem.contact import contact_of
 from voile.problem.elastic import Elastic
@@ -135,7 +136,7 @@ class _Step:
         self.force.array[:] = problem.layout.collect(forces)
         self.norms = float(self.force.norm()), float(np.sqrt(missed))
 
-    def _linearise(self, laws: LocalLaws, x: np.ndarray) -> None:
+    def _linearise(self, laws: LocalLaws, x: Reals) -> None:
         contact, problem = contact_of(self.problem), self.problem
         laws.remember()
         if contact.itself and contact.free_share(self.start, x) == 1.0:

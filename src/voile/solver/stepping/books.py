@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.contact import contact_work
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -68,7 +69,7 @@ class Books:
         square = (k.velocity**2).sum(axis=1)
         return 0.5 * self._sum(self.problem.vertex_mass() * square)
 
-    def momenta(self, k: Kinematics) -> tuple[np.ndarray, np.ndarray]:
+    def momenta(self, k: Kinematics) -> tuple[Reals, Reals]:
         """Momentum (3,) kg m/s and angular momentum about the origin (3,) kg m^2/s."""
         own = self.problem.own
         p = self.problem.vertex_mass()[own, None] * k.velocity[own]
@@ -131,7 +132,7 @@ class Books:
         lost = sum(entries[name] for name in LOST)
         return max(self.most, entries["present"] + lost - self.created - created(entries))
 
-    def _residual_work(self, step: Ended, way: np.ndarray, inertia: np.ndarray, forces: np.ndarray) -> float:
+    def _residual_work(self, step: Ended, way: Reals, inertia: Reals, forces: Reals) -> float:
         """Of the residual over the way of what is free (J)."""
         problem = step.forces.problem
         reactions = np.zeros_like(inertia)
@@ -142,11 +143,11 @@ class Books:
         residual.array[:] = problem.layout.collect(dofs)
         return float(residual.dot(free))
 
-    def _work(self, force: np.ndarray, way: np.ndarray) -> float:
+    def _work(self, force: Reals, way: Reals) -> float:
         """Of a force (dofs,) N over the vertices' way (n, 3) m."""
         return self._sum((force[: way.size].reshape(-1, 3) * way).sum(axis=1))
 
-    def _sum(self, values: np.ndarray) -> float:
+    def _sum(self, values: Reals) -> float:
         """Over all vertices."""
         return float(self.problem.comm.allreduce(float(values[self.problem.own].sum())))
 

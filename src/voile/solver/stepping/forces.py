@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voile.arrays import Flags, Reals
 from voile.problem.damping import Air, Damping, Viscous, Wind
 from voile.problem.inertia import Dead, Inertia
 from voile.problem.mean import END, MeanElastic, MeanTerm, Nodes, mean_nodes
@@ -64,11 +65,11 @@ class StepForces:
             terms.append(Viscous(problem.vertex_mass(), problem.own, self.damping.mass * rate, still))
         return terms
 
-    def loads(self, at: Point) -> np.ndarray:
+    def loads(self, at: Point) -> Reals:
         """(dofs,) N, where the step ends at a point."""
         return self.late.forces(at) + self.early
 
-    def resistance(self, at: Point, prediction: Prediction) -> np.ndarray:
+    def resistance(self, at: Point, prediction: Prediction) -> Reals:
         """(dofs,) N of the air and of all damping."""
         total = sum((term.forces(at) for term in self.resisting(prediction)), np.zeros_like(self.lag))
         if self.share:
@@ -84,7 +85,7 @@ class StepForces:
         elastic = self.problem.elastic
         return elastic if nodes == END else MeanElastic(elastic, self.start, nodes)
 
-    def _own(self) -> np.ndarray:
+    def _own(self) -> Flags:
         """(dofs,) marks what is counted on this rank."""
         part, own = self.problem.part, np.zeros(len(self.lag), dtype=bool)
         count = len(own) - len(part.edge)

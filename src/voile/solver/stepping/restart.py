@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from voile.arrays import Array
 from voile.contact.candidates import Candidates
 from voile.contact.history import PER_PARTNER, History
 from voile.problem.problem import Problem
@@ -16,7 +17,7 @@ FIELDS = ("positions", "velocity", "acceleration", "filtered")
 COUNTS = ("factorisations", "solves", "iterations")
 
 
-def packed(problem: Problem, path: TimePath) -> dict[str, np.ndarray]:
+def packed(problem: Problem, path: TimePath) -> dict[str, Array]:
     """This rank's arrays of a path."""
     k, contact = path.kinematics, problem.contact
     y = path.state.copy()
@@ -40,7 +41,7 @@ def packed(problem: Problem, path: TimePath) -> dict[str, np.ndarray]:
     return found
 
 
-def unpacked(problem: Problem, found: dict[str, np.ndarray]) -> TimePath:
+def unpacked(problem: Problem, found: dict[str, Array]) -> TimePath:
     """The path of this rank's arrays; also what the problem's contact remembers."""
     y = problem.create_vector()
     y.array[:] = found["y"]

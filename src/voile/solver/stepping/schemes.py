@@ -12,16 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from voile.arrays import Flags, Reals
+
 
 @dataclass(frozen=True)
 class Kinematics:
     """Of the local vertices, (n, 3) each: positions (m), velocity (m/s), acceleration (m/s^2) by the forces of the last
     step; filtered: that of generalised-alpha; before: the step before."""
 
-    positions: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    filtered: np.ndarray
+    positions: Reals
+    velocity: Reals
+    acceleration: Reals
+    filtered: Reals
     before: "Before | None" = None
 
 
@@ -29,8 +31,8 @@ class Kinematics:
 class Before:
     """Positions (n, 3) m and velocity (n, 3) m/s one step (s) ago."""
 
-    positions: np.ndarray
-    velocity: np.ndarray
+    positions: Reals
+    velocity: Reals
     step: float
 
 
@@ -39,13 +41,13 @@ class Prediction:
     """coefficient (1/s^2) and predicted (n, 3) m of the inertia term; rate (1/s) and still (n, 3) m of the velocity;
     early: share of the forces at the step's start. Coefficient, rate and early: one, or (n, 3)."""
 
-    coefficient: float | np.ndarray
-    predicted: np.ndarray
-    rate: float | np.ndarray
-    still: np.ndarray
-    early: float | np.ndarray = 0.0
+    coefficient: float | Reals
+    predicted: Reals
+    rate: float | Reals
+    still: Reals
+    early: float | Reals = 0.0
 
-    def where(self, chosen: np.ndarray, other: "Prediction") -> "Prediction":
+    def where(self, chosen: Flags, other: "Prediction") -> "Prediction":
         """The other one for the chosen (n, 3) components."""
         return Prediction(
             np.where(chosen, other.coefficient, self.coefficient),
@@ -55,18 +57,18 @@ class Prediction:
             np.where(chosen, other.early, self.early),
         )
 
-    def velocity(self, x: np.ndarray) -> np.ndarray:
+    def velocity(self, x: Reals) -> Reals:
         """(n, 3) m/s at the step's end, if that is at x."""
         return self.rate * (x - self.still)
 
-    def flow(self, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def flow(self, before: Reals) -> tuple[Reals, Reals]:
         """Rate and `still` (n, 3) of the mean velocity in the step, (1 - early) times that at its end and `early` times
         `before` (n, 3) m/s."""
         rate = np.broadcast_to((1.0 - np.asarray(self.early)) * self.rate, before.shape)
         end = (1.0 - np.asarray(self.early)) * self.rate * self.still
         return rate, (end - self.early * before) / rate
 
-    def acceleration(self, x: np.ndarray) -> np.ndarray:
+    def acceleration(self, x: Reals) -> Reals:
         """(n, 3) m/s^2."""
         return self.coefficient * (x - self.predicted)
 
@@ -93,7 +95,7 @@ class Scheme:
         """The step's inertia."""
         raise NotImplementedError
 
-    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray) -> Kinematics:
+    def update(self, k: Kinematics, h: float, p: Prediction, x: Reals) -> Kinematics:
         """After the step to positions x (n, 3)."""
         a = p.acceleration(x)
         return Kinematics(x, p.velocity(x), a, a, Before(k.positions, k.velocity, h))
@@ -159,7 +161,7 @@ class GeneralizedAlpha(Scheme):
             (1.0 - m) / (beta * h**2), explicit - shift, rate, explicit - steady / rate, self.early
         )
 
-    def update(self, k: Kinematics, h: float, p: Prediction, x: np.ndarray) -> Kinematics:
+    def update(self, k: Kinematics, h: float, p: Prediction, x: Reals) -> Kinematics:
         m, _, _ = self._alphas
         filtered = (p.acceleration(x) - m * k.filtered) / (1.0 - m)
         return replace(super().update(k, h, p, x), filtered=filtered)

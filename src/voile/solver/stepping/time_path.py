@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Flags, Reals
 from voile.problem.contact import contact_report
 from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
@@ -125,7 +126,7 @@ class TimePath:
     attempts: int = 0
     length: float = 0.0
     largest: float = 0.0
-    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    pushed: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -142,13 +143,13 @@ class TimePath:
 OnStep = Callable[[TimeStep, TimePath], None]
 
 
-def start_path(problem: Problem, velocity: np.ndarray) -> TimePath:
+def start_path(problem: Problem, velocity: Reals) -> TimePath:
     """That of a shell at its start shape with velocities (local vertices, 3) m/s."""
     y = problem.create_vector()
     return TimePath(y, start_kinematics(problem, y, velocity), Books(problem))
 
 
-def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: np.ndarray) -> Kinematics:
+def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: Reals) -> Kinematics:
     """At the unknowns y with velocities (local vertices, 3) m/s of what may move; the first acceleration is not
     known."""
     x, none = problem.positions(y), np.zeros_like(velocity)
@@ -294,7 +295,7 @@ class Stepper:
         share = min(end / self.asked.duration, 1.0)
         return abs(books.error + entries["error"]) > self.options.closes * share * books.let(entries)
 
-    def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: np.ndarray) -> str:
+    def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: Reals) -> str:
         """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
         k, asked = self.k, self.asked
         if problem.contact:
@@ -342,7 +343,7 @@ class Stepper:
                 rest = self.options.rest * h**2 * self.fall
                 problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
 
-    def _bearing(self, problem: Problem, known: np.ndarray) -> np.ndarray:
+    def _bearing(self, problem: Problem, known: Flags) -> Flags:
         """(local vertices, 3) components that are known to be implicit Euler's in this step, and those of vertices that
         bear on something now or did in the last step, with all that is sewn to them."""
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
@@ -383,7 +384,7 @@ def _mean_mass(problem: Problem) -> float:
     return float(total[0] / total[1])
 
 
-def _pushed(problem: Problem, x: np.ndarray) -> np.ndarray:
+def _pushed(problem: Problem, x: Reals) -> Flags:
     """(local vertices,) marks those on which something bears at positions x (n, 3)."""
     if not problem.contact:
         return np.zeros(len(x), dtype=bool)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench, Mesh
 from voile.validate.protocol import Curve, Findings, Plot, close
 from voile.validate.shapes import fabric, nodes, sheet
@@ -48,11 +49,11 @@ def ratio(bench: Bench, degrees: float, friction: float) -> float:
     return stretch[1] / stretch[0]
 
 
-def _stretch(start: np.ndarray, x: np.ndarray, along: np.ndarray) -> float:
+def _stretch(start: Reals, x: Reals, along: Reals) -> float:
     """Of a straight piece between its first and its last row of vertices."""
     rows = along < along.min() + 1e-9, along > along.max() - 1e-9
 
-    def length(points: np.ndarray) -> float:
+    def length(points: Reals) -> float:
         return float(np.linalg.norm(points[rows[1]].mean(axis=0) - points[rows[0]].mean(axis=0)))
 
     return length(x) / length(start) - 1.0

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.mesh.grids import rings
 from voile.validate.bench import Bench, Mesh
 from voile.validate.protocol import Check, Curve, Findings, Plot, close, small, within
@@ -61,7 +62,7 @@ def stiff_rim(weight: float, stiffness: float) -> float:
     + C3 r^2 + C4 r^2 ln r over D, with w = w' = 0 at a, no moment and no shear at b."""
     a, b, q = TABLE, SHEET, weight * GRAVITY / stiffness
 
-    def row(r: float, kind: str) -> np.ndarray:
+    def row(r: float, kind: str) -> Reals:
         """Of C1 to C4 and q: w, its slope, or its radial moment over D."""
         log = np.log(r)
         if kind == "w":

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench, Mesh
 from voile.validate.protocol import Check, Curve, Findings, Plot, close, small
 from voile.validate.shapes import sheet
@@ -14,7 +15,7 @@ CELLS, GRAVITY, THICKNESS, FRICTION, SOFT, DENSITY = 6, 10.0, 1e-3, 0.001, 1e5, 
 AMPLITUDES = np.array([4.25, -3.25, 2.25, -1.25, 0.25])
 
 
-def swing(bench: Bench, steps: int) -> tuple[np.ndarray, np.ndarray, float]:
+def swing(bench: Bench, steps: int) -> tuple[Reals, Reals, float]:
     """A stiff pad at the end of a soft strip: times over half a period, displacements of the pad over 2 mu N / k, and
     its speed at the end (m/s)."""
     width = 1.0 / CELLS
@@ -63,7 +64,7 @@ def swing(bench: Bench, steps: int) -> tuple[np.ndarray, np.ndarray, float]:
     return done.result.values / half, np.array(away), float(np.abs(done.result.field("velocity")[end]).max())
 
 
-def exact(time: np.ndarray) -> np.ndarray:
+def exact(time: Reals) -> Reals:
     """Displacement over 2 mu N / k at times over half a period: cosines about +-1/2, until it sticks."""
     k = np.minimum(time.astype(int), len(AMPLITUDES) - 1)
     middle = 0.5 * (AMPLITUDES[k] + AMPLITUDES[np.minimum(k + 1, len(AMPLITUDES) - 1)])

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench
 from voile.validate.protocol import Curve, Findings, Plot, close, small
 from voile.validate.shapes import CLAMP, fabric, nodes, rigidity, sheet
@@ -13,7 +14,7 @@ WEIGHT = DENSITY * GRAVITY * THICKNESS  # per area
 BOUND = 3e-3  # 1 % of stiffness or of weight is 0.25 % of the length, 1 % of weight 0.75 % of the force
 
 
-def lift(bench: Bench, height: float, cells: int) -> tuple[float, float, float, np.ndarray]:
+def lift(bench: Bench, height: float, cells: int) -> tuple[float, float, float, Reals]:
     """Free length, force per width, reaction times gap over the force, positions.
 
     A beam comes to lie down with a force at one point, the edge of contact, which the mesh spreads over some vertices:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench, Mesh, Outcome
 from voile.validate.protocol import Curve, Findings, Plot, close, small
 from voile.validate.shapes import fabric, sheet
@@ -30,7 +31,7 @@ def turn(
     return bench.run(name, scene)
 
 
-def rates(done: Outcome, near: np.ndarray) -> np.ndarray:
+def rates(done: Outcome, near: Reals) -> Reals:
     """(k,) rad/s about z of some vertices at the written steps."""
     found = []
     for k in range(1, done.result.n_steps):

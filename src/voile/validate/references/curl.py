@@ -12,6 +12,7 @@ from scipy.linalg import eigvals_banded
 from scipy.optimize import brentq
 from scipy.sparse import coo_matrix
 
+from voile.arrays import Flags, Reals
 from voile.errors import NotConverged
 
 ELEMENTS = 400  # critical curvatures to 3e-5
@@ -36,9 +37,7 @@ def planar(weight: float, natural: float, start: Callable | None = None) -> Call
     return found.sol
 
 
-def softest(
-    angle: np.ndarray, moment: np.ndarray, pull: np.ndarray, hard: float, torsion: float, held: np.ndarray
-) -> float:
+def softest(angle: Reals, moment: Reals, pull: Reals, hard: float, torsion: float, held: Flags) -> float:
     """The smallest eigenvalue of the energy's second variation out of the plane; negative: the rod leaves it.
 
     The frame turns by psi about the direction in the plane across the tangent and by phi about the tangent. Twice the

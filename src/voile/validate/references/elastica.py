@@ -6,6 +6,7 @@ import numpy as np
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq, root
 
+from voile.arrays import Reals
 from voile.errors import NotConverged
 
 
@@ -13,8 +14,8 @@ from voile.errors import NotConverged
 class Elastica:
     """x along the clamp's direction, z down, at 2001 places along the strip."""
 
-    x: np.ndarray
-    z: np.ndarray
+    x: Reals
+    z: Reals
 
     @property
     def reach(self) -> float:
@@ -74,7 +75,7 @@ def slip_onset(friction: float) -> float:
     return float(1.0 - end(found, friction)[3])
 
 
-def catenary(span: float, x: np.ndarray) -> np.ndarray:
+def catenary(span: float, x: Reals) -> Reals:
     """Depth below the ends of a chain of length 1 between ends `span` apart, at x from its middle."""
     a = brentq(lambda a: 2.0 * a * np.sinh(0.5 * span / a) - 1.0, 0.05, 10.0)
     return a * (np.cosh(0.5 * span / a) - np.cosh(x / a))

@@ -1,0 +1,20 @@
+"""Names of annotations for NumPy's arrays. Their shapes are told by docstrings.
+
+`Any` in them is a number's width, which NumPy's own operations leave open.
+"""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+Reals: TypeAlias = np.ndarray[Any, np.dtype[np.floating[Any]]]
+Ints: TypeAlias = np.ndarray[Any, np.dtype[np.integer[Any]]]
+Flags: TypeAlias = np.ndarray[Any, np.dtype[np.bool_]]
+Array: TypeAlias = np.ndarray[
+    Any, np.dtype[Any]
+]  # of any numbers: fields of files, what works on all of them
+
+
+def sums(place: Ints, values: Reals, count: int = 0) -> Reals:
+    """(at least count,) sums of values (k,) that go to the same places (k,)."""
+    return np.asarray(np.bincount(place, values, count), dtype=float)
