@@ -30,7 +30,7 @@ ALLOWED = {
     "study": {"_kernels", "keys", "mesh", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.
-TOP = {"api", "cli", "commands", "explain", "tasks", "validate", "wiring"}
+TOP = {"api", "cli", "commands", "explain", "held", "tasks", "validate", "wiring"}
 PETSC = {"problem", "solver", "inverse", "petsc_options"} | TOP
 
 

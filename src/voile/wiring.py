@@ -1,7 +1,7 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. For commands only."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from voile.contact.obstacles import SHAPES, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
+from voile.held import moves_of, sections_of, supports_of
 from voile.mesh import (
     Attached,
     RawMesh,
@@ -29,8 +30,9 @@ from voile.mesh import (
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
+from voile.problem.local_axes import Hold, combined
+from voile.problem.sections import Section
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
-from voile.problem.support_forces import Held
 from voile.problem.supports import check_supports, free_motions
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
@@ -57,7 +59,8 @@ class Model:
     obstacles: list[Obstacle]
     offset: float  # m, from the mid-surface to the surface that touches
     cuts: Ints  # (k, 2) vertices of the edges along which the scene cuts the surface into panels
-    holds: list[Held]  # what each [[fix]] holds
+    holds: list[Hold]  # what each [[fix]] holds
+    sections: list[Section]  # of which the summary tells the forces
 
 
 def build_model(scene: Scene) -> Model:
@@ -68,8 +71,10 @@ def build_model(scene: Scene) -> Model:
     rest = read_rest(spec.rest, surface, Path(scene.path).parent, spec.scale)
     topology = build_topology(surface.triangles)
     loops = surface_loops(surface, topology)
-    fixed, motion, clamped, holds = _supports(scene, surface, topology, loops)
-    moves = _moves_in_time(scene, surface, loops)
+    holds, clamped = supports_of(scene, surface, topology, loops)
+    moves = moves_of(scene, holds)
+    still = [replace(hold, displacement=np.zeros(3)) for hold in holds] if moves else holds
+    axes, fixed, motion = combined(still, len(surface.points), f"{scene.path}: fix")
     on = Attached(surface, topology, loops, str(scene.path))
     thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
     shrink = _fabric(scene, surface, "shrink")
@@ -88,7 +93,8 @@ def build_model(scene: Scene) -> Model:
         poisson=poisson,
         density=density,
         fixed=fixed,
-        motion=np.zeros_like(motion) if moves else motion,
+        axes=axes,
+        motion=motion,
         moves=moves,
         clamped_edges=clamped,
         gravity=np.array(scene.loads.gravity, dtype=float),
@@ -131,7 +137,7 @@ def build_model(scene: Scene) -> Model:
         check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
-    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds)
+    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds, sections_of(scene, surface, loops))
 
 
 def _load_laws(scene: Scene) -> dict[str, Load]:
@@ -250,46 +256,6 @@ def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: Reals) -> Reals 
         return weave_rows(rest.points, rest.triangles, warp_of(rest, surface, warps), *fabric, woven=woven)
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
-
-
-def _supports(scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]):
-    """Fixed axes (n, 3), motion (n, 3), clamped edges, what each table holds."""
-    n, holds = len(surface.points), []
-    fixed, motion = np.zeros((n, 3), dtype=bool), np.zeros((n, 3))
-    clamped = np.zeros(len(topology.edges), dtype=bool)
-    for k, fix in enumerate(scene.fix):
-        where = f"{scene.path}: fix.{k}.select"
-        vertices = select(surface, loops, fix.select, where)
-        axes = ["xyz".index(a) for a in fix.axes]
-        holds.append(Held(fix.name or f"fix {k}", vertices, tuple(axes), fix.clamp))
-        move = np.zeros(3) if fix.move is None else np.array(fix.move.displacement, dtype=float)
-        for axis in axes:
-            again = vertices[fixed[vertices, axis] & (motion[vertices, axis] != move[axis])]
-            if len(again):
-                raise InputError(
-                    f"{where}: vertex {again[0]} is moved differently along {'xyz'[axis]} by another fix"
-                )
-            fixed[vertices, axis] = True
-            motion[vertices, axis] = move[axis]
-        if fix.clamp:
-            inside = np.zeros(n, dtype=bool)
-            inside[vertices] = True
-            edges = inside[topology.edges].all(axis=1)
-            if not edges.any():
-                raise InputError(f"{where}: clamp = true needs at least one edge with both ends selected")
-            clamped |= edges
-    return fixed, motion, np.flatnonzero(clamped).astype(np.int32), holds
-
-
-def _moves_in_time(scene: Scene, surface: Surface, loops: list[Ints]):
-    """With task = dynamics: the supports that move, and how."""
-    if scene.scene.task != "dynamics":
-        return ()
-    return tuple(
-        (select(surface, loops, fix.select, f"{scene.path}: fix.{k}.select"), motion_of(scene, fix.move))
-        for k, fix in enumerate(scene.fix)
-        if fix.move
-    )
 
 
 def _moments(scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]) -> Reals | None:

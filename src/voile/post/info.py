@@ -63,7 +63,7 @@ def rows(summary: dict[str, Any], depth: int = 0) -> Iterator[tuple[int, str, st
         elif key == "obstacles":
             for obstacle in value:
                 yield depth, obstacle["name"], _totals(obstacle)
-        elif key == "supports":
+        elif key in ("supports", "sections"):
             for support in value:
                 yield depth, support["name"], _support(support)
         else:

@@ -5,6 +5,7 @@ import numpy as np
 from voile.arrays import Flags, Ints, Reals
 from voile.elastic import model_of
 from voile.errors import InputError
+from voile.problem.local_axes import principal
 from voile.problem.shell import Shell, area_vectors
 
 IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does
@@ -40,7 +41,9 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
     director = _unit(normal[triangle] + neighbour)
     at_rest = (other < 0) & _lies_at_rest(shell, triangle, corner)
     conormal = np.cross(along, director)
-    free = ~(shell.fixed[start] & shell.fixed[end])
+    # in axes of what both ends leave free
+    axes, free = principal(2.0 * np.eye(3) - shell.held[start] - shell.held[end])
+    along, director, conormal = (np.einsum("kai,ki->ka", axes, v) for v in (along, director, conormal))
     slides = free.any(axis=1)
     loose_director = np.abs(director * free).max(axis=1)
     loose_conormal = np.abs(conormal * free).max(axis=1)
@@ -59,7 +62,7 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
             "only that across a plane of symmetry that holds the edge (not at a right angle: bending = sin, "
             "tan or theta)"
         )
-    vector = np.where(use_conormal[:, None], conormal, director)
+    vector = np.einsum("kai,ka->ki", axes, np.where(use_conormal[:, None], conormal, director))
     return np.column_stack([half, use_conormal, at_rest, vector]), angles
 
 

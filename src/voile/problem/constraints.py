@@ -10,6 +10,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.held import Supports
+from voile.problem.local_axes import inverse, principal
 from voile.problem.shell import Shell
 
 
@@ -18,15 +19,21 @@ class Constraints:
     """Degrees of freedom: 3*vertex + axis, then edges.
 
     matrix C (dofs, dofs): unit rows for unknowns, combinations of unknowns for what is sewn to them, empty rows for
-    supports. free (dofs,) marks the unknowns, fixed (dofs,) the supports. closure (dofs,) is the displacement that
-    closes the seams of the start shape and the director angles of its clamps.
+    supports; where supports hold along local axes, the unknowns are displacements along the free ones. free (dofs,)
+    marks the unknowns, direction (dofs, 3) is where each leads, none for directors. closure (dofs,) is the displacement
+    that closes the seams of the start shape and the director angles of its clamps.
     """
 
     matrix: sp.csr_matrix
     free: Flags
-    fixed: Flags
+    direction: Reals
     closure: Reals
     supports: Supports
+
+    @property
+    def fixed(self) -> Flags:
+        """(dofs,) marks those that supports hold alone."""
+        return np.diff(self.matrix.indptr) == 0
 
 
 def build_constraints(shell: Shell, directors: bool) -> Constraints:
@@ -34,16 +41,18 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
     n, edges = len(shell.points), len(shell.topology.edges)
     sewing, base = _sewing(shell)
     joined = sewing.astype(bool).astype(float)
-    fixed_base = (joined.T @ shell.fixed.astype(float)) > 0.0
+    held_base = (joined.T @ shell.held.reshape(n, 9)).reshape(-1, 3, 3)
+    axes, fixed_base = principal(held_base)
     closure = np.zeros(3 * n)
     if len(shell.slave):
-        closure = (_closing(shell, sewing, fixed_base) if shell.closing is None else shell.closing).ravel()
+        stays = (held_base != 0.0).any(axis=2)  # along the global axes
+        closure = (_closing(shell, sewing, stays) if shell.closing is None else shell.closing).ravel()
     column = (3 * base[:, None] + np.arange(3)).ravel()
     place = sp.csr_matrix(
         (np.ones(len(column)), (np.arange(len(column)), column)), shape=(len(column), 3 * n)
     )
-    keep = sp.diags((~fixed_base).ravel().astype(float))
-    vertices = (sp.kron(sewing, sp.identity(3), format="csr") @ keep @ place).tocsr()
+    turn = _blocks(axes.transpose(0, 2, 1) * ~fixed_base[:, None, :])
+    vertices = (sp.kron(sewing, sp.identity(3), format="csr") @ turn @ place).tocsr()
     director_free = np.full(edges, directors)
     director_free[shell.clamped_edges] = False
     matrix = sp.block_diag([vertices, sp.diags(director_free.astype(float))], format="csr")
@@ -52,19 +61,20 @@ def build_constraints(shell: Shell, directors: bool) -> Constraints:
     free = np.zeros(3 * n + edges, dtype=bool)
     free[column] = ~fixed_base.ravel()
     free[3 * n :] = director_free
-    fixed = np.concatenate([np.diff(vertices.indptr) == 0, ~director_free])
+    direction = np.zeros((3 * n + edges, 3))
+    direction[column] = axes.reshape(-1, 3)
     closure = np.concatenate([closure, np.zeros(edges)])
-    return Constraints(matrix, free, fixed, closure, _supports(shell, sewing))
+    return Constraints(matrix, free, direction, closure, _supports(shell, sewing))
 
 
 def _supports(shell: Shell, sewing: sp.csr_matrix) -> Supports:
     """Those that move, with what is sewn to them: where several meet, it moves as their mean."""
-    displaced = np.flatnonzero((shell.motion * shell.fixed).any(axis=1))
+    displaced = np.flatnonzero((shell.motion * shell.fixed.any(axis=1)[:, None]).any(axis=1))
     moving = np.unique(np.concatenate([displaced, *(vertices for vertices, _ in shell.moves)]))
-    fixed = shell.fixed.astype(float)
-    share = sewing.T @ fixed
+    held = shell.held
+    share = (sewing.T @ held.reshape(-1, 9)).reshape(-1, 3, 3)
     along = sp.kron(sewing, sp.identity(3), format="csr")
-    mean = sp.diags((1.0 / np.where(share > 0.0, share, 1.0)).ravel()) @ along.T @ sp.diags(fixed.ravel())
+    mean = _blocks(inverse(share)) @ along.T @ _blocks(held)
     carry = (along @ mean).tocsc()[:, (3 * moving[:, None] + np.arange(3)).ravel()].tocoo()
     size = (3 * len(shell.points) + len(shell.topology.edges), 3 * len(moving))
     motions = [(np.searchsorted(moving, vertices), motion) for vertices, motion in shell.moves]
@@ -74,6 +84,14 @@ def _supports(shell: Shell, sewing: sp.csr_matrix) -> Supports:
     return Supports(
         shell.points[moving], motions, sp.csr_matrix((carry.data, (carry.row, carry.col)), shape=size)
     )
+
+
+def _blocks(blocks: Reals) -> sp.csr_matrix:
+    """(3n, 3n) block diagonal of (n, 3, 3)."""
+    n = len(blocks)
+    matrix = sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def _sewing(shell: Shell) -> tuple[sp.csr_matrix, Ints]:

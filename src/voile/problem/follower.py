@@ -9,12 +9,12 @@ from voile.problem.shell import Shell, area_vectors
 
 def pressure_origin(shell: Shell) -> Reals | None:
     """(3,) a point against which pressure has the potential -p V, V the volume between it and the surface; None where
-    there is none, as for patches of it.
+    there is none, as for patches of it, or none is looked for, as where supports hold along local axes.
 
     Sliding the rim changes V by the triangles from it to the point, which is not work of the pressure. They have no
     volume where each edge of the rim stays in a plane through the point, as on planes of symmetry.
     """
-    if shell.patch_pressure is not None:
+    if shell.patch_pressure is not None or shell.axes is not None:
         return None
     rim = shell.topology.edges[shell.topology.boundary_edges]
     fixed = shell.fixed[rim]

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Ints, Reals
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import Constraints, build_constraints
 from voile.problem.held import Supports
@@ -43,7 +43,8 @@ class Part:
     matrix: sp.csr_matrix
     closure: Reals  # (dofs,) closes the seams of the start shape
     supports: Supports
-    fixed: Flags
+    place: Ints  # (owned,) local vertex of an unknown, for directors vertices + local edge
+    direction: Reals  # (unknowns, 3) where each leads, none for directors
     force: Reals
     mass: Reals  # (dofs,) lumped, complete where this rank has all triangles: for its own
     moment: Reals
@@ -102,6 +103,7 @@ class Numbering:
 
     node_owner: Ints  # vertices, then edges
     unknown: Ints  # per dof: global number, -1 where it is none
+    dof: Ints  # per unknown: the degree of freedom that it is numbered by
     range_start: Ints  # (ranks + 1,)
     triangle_order: Ints
 
@@ -135,7 +137,8 @@ def number_unknowns(shell: Shell, constraints: Constraints, ranks: int) -> Numbe
     unknown[dof_order] = np.arange(len(dof_order))
     per_rank = np.bincount(owner, weights=count, minlength=ranks).astype(np.int64)
     triangle_order = np.argsort(place[shell.triangles].min(axis=1), kind="stable")
-    return Numbering(owner, unknown, np.concatenate([[0], np.cumsum(per_rank)]), triangle_order)
+    range_start = np.concatenate([[0], np.cumsum(per_rank)])
+    return Numbering(owner, unknown, dof_order, range_start, triangle_order)
 
 
 def _ramp(sizes: Ints) -> Ints:
@@ -220,7 +223,8 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         matrix=matrix,
         closure=constraints.closure[dofs],
         supports=constraints.supports.of(dofs),
-        fixed=constraints.fixed[dofs],
+        place=_places(numbering.dof[begin:end], vertex_local, edge_local, len(vertex)),
+        direction=constraints.direction[numbering.dof[np.concatenate([np.arange(begin, end), ghost])]],
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=_mass(shell)[dofs],
         moment=moment[triangles].ravel(),
@@ -235,6 +239,15 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         owned_vertices=np.flatnonzero(numbering.node_owner[vertex] == rank),
         owned_edges=np.flatnonzero(numbering.node_owner[n + edge] == rank),
     )
+
+
+def _places(dof: Ints, vertex: Ints, edge: Ints, vertices: int) -> Ints:
+    """Part.place of degrees of freedom, by the local numbers of vertices and edges."""
+    director = dof - 3 * len(vertex)
+    found = np.empty(len(dof), dtype=np.int64)
+    found[director < 0] = vertex[dof[director < 0] // 3]
+    found[director >= 0] = vertices + edge[director[director >= 0]]
+    return found
 
 
 def _bars(shell: Shell, local: Ints, owner: Ints, rank: int) -> Reals:

@@ -17,12 +17,14 @@ from voile.problem.inertia import mass_blocks
 from voile.problem.lifetime import stop_if_told
 from voile.problem.loads import Loads
 from voile.problem.matrix import Assembly, Blocks
-from voile.problem.partition import bounding_size, distribute
+from voile.problem.partition import Part, bounding_size, distribute
 from voile.problem.shell import Shell
 from voile.problem.springs import springs_of
 from voile.problem.state import State
 from voile.problem.terms import Point, Term
 from voile.problem.unknowns import Unknowns
+
+ROUND_OFF = 1e-12  # of a weight of C
 
 Monitor = Callable[[float, int, float], None]
 
@@ -36,6 +38,8 @@ class Problem:
 
     `conservative` is False where a load has no potential (pressure up to a free boundary, end moments); its work is
     then left out of `energy`. `moves`: some support does; `held`: there is one; `supported`: along every axis there is.
+    `turned`: supports hold along local axes. `kept` (local vertices, 3, 3): the part of a vertex's
+    motion that follows no unknown.
     `monitor(time, iteration, residual in N)`, if set, is told of every Newton iteration.
     """
 
@@ -46,8 +50,8 @@ class Problem:
             gravity, pressed = np.asarray(shell.gravity, float), shell.pressed
             origin = pressure_origin(shell) if pressed else np.zeros(3)
             loads = gravity, pressed, origin, shell.load_laws
-            settings = shell.model, shell.flat, loads, shell.moment is None
-        self.model, flat, loads, no_moments = comm.bcast(settings)
+            settings = shell.model, shell.flat, loads, shell.moment is None, shell.axes is not None
+        self.model, flat, loads, no_moments, self.turned = comm.bcast(settings)
         self.conservative = loads[2] is not None and no_moments
         self.directors = has_directors(self.model)
         self.part = part = distribute(shell, self.directors, comm)
@@ -60,8 +64,9 @@ class Problem:
         self.contact: Contact | None = None
         self.monitor: Monitor | None = None
         self.own = self.loads.own
-        axes = comm.allreduce(part.fixed[: self.layout.vertices].reshape(-1, 3).any(axis=0).astype(int))
-        self.held, self.supported = bool(axes.any()), bool(axes.all())
+        self.kept = _kept(part)
+        along = np.linalg.eigvalsh(comm.allreduce(self.kept.sum(axis=0))) > ROUND_OFF
+        self.held, self.supported = bool(along.any()), bool(along.all())
         self.moves = bool(comm.allreduce(part.supports.move, op=MPI.LOR))
         self._length = bounding_size(part.points, comm)
         self._assembly = Assembly(part, self.directors, comm)
@@ -205,8 +210,7 @@ class Problem:
     def reactions(self, y: PETSc.Vec) -> Reals:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
         at, count = self.point(y), self.layout.vertices
-        forces = self.inner_forces(at)
-        return (-forces[:count] * self.part.fixed[:count]).reshape(-1, 3)
+        return -np.einsum("nij,nj->ni", self.kept, self.inner_forces(at)[:count].reshape(-1, 3))
 
     def inner_forces(self, at: Point) -> Reals:
         """(local dofs,) forces of the shell itself, its springs and its loads (N; N m on directors)."""
@@ -359,3 +363,12 @@ class Problem:
     def positions(self, y: PETSc.Vec) -> Reals:
         """(local vertices, 3) positions of unknowns y (m)."""
         return self.point(y).positions
+
+
+def _kept(part: Part) -> np.ndarray:
+    """Problem.kept: what C leaves out of the identity."""
+    vertices = len(part.vertex)
+    free = np.asarray(part.matrix[: 3 * vertices] @ part.direction).reshape(-1, 3, 3)
+    kept = np.eye(3) - free
+    kept[np.abs(kept) < ROUND_OFF] = 0.0
+    return kept

@@ -16,12 +16,8 @@ FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
 def field_vector(problem: Problem, field: Reals) -> PETSc.Vec:
     """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
-    part, vector = problem.part, problem.create_vector()
-    rows = part.matrix[: 3 * len(part.vertex)]
-    single = np.flatnonzero(np.diff(rows.indptr) == 1)
-    columns = rows.indices[rows.indptr[single]]
-    mine = columns < part.owned
-    vector.array[columns[mine]] = field.ravel()[single[mine]]
+    vector = problem.create_vector()
+    vector.array[:] = problem.layout.along(np.concatenate([field.ravel(), np.zeros(len(problem.part.edge))]))
     return vector
 
 

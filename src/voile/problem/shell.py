@@ -9,6 +9,7 @@ from voile.contact.motion import Motion
 from voile.mesh.stitches import Stitches, join
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import Load
+from voile.problem.local_axes import held_along
 
 SAME = 1e-3  # of an edge's length: rest shapes of two that are sewn together lie in one place
 
@@ -23,7 +24,8 @@ class Shell:
 
     points (n, 3) start shape; triangles (m, 3); rest_points (r, 3) and rest_triangles (m, 3) the rest shape, flat
     when it has no folds; thickness, young, poisson, density (m,); model: the kernels' name (voile.elastic.model_name).
-    fixed (n, 3) marks Dirichlet axes, motion (n, 3) their displacement at time 1, the end of a load path.
+    fixed (n, 3) marks Dirichlet axes, motion (n, 3) the displacement along them at time 1, the end of a load path.
+    axes (n, 3, 3): rows, the local axes that `fixed` marks; None for the global ones.
     clamped_edges: edges (in topology.edges' order) whose directors are held. Seams x_slave = (1 - weight) x_first +
     weight x_second. Loads at time 1: gravity (3,) m/s^2, pressure (Pa, follows the normal), force (n, 3) N,
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
@@ -49,6 +51,7 @@ class Shell:
     density: Reals
     fixed: Flags
     motion: Reals
+    axes: Reals | None = None
     clamped_edges: Ints = field(default_factory=_no_ints)
     slave: Ints = field(default_factory=_no_ints)
     first: Ints = field(default_factory=_no_ints)
@@ -59,7 +62,7 @@ class Shell:
     patch_pressure: Reals | None = None
     force: Reals | None = None
     moment: Reals | None = None
-    moves: tuple[tuple[Reals, Motion], ...] = ()
+    moves: tuple[tuple[Ints, Motion], ...] = ()
     load_laws: dict[str, Load] = field(default_factory=dict)
     closing: Reals | None = None
     seam_bending: bool = False
@@ -68,6 +71,11 @@ class Shell:
     bars: Reals | None = None
     extra_mass: Reals | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
+
+    @property
+    def held(self) -> Reals:
+        """(n, 3, 3) projections on the directions along which vertices are held."""
+        return held_along(self.axes, self.fixed)
 
     @property
     def pressed(self) -> bool:

@@ -1,28 +1,19 @@
 """What supports and clamps exert on a shell, and its sums over each [[fix]]."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.mesh.stitches import Stitches, sewing_matrix
+from voile.problem.local_axes import Hold
 from voile.problem.partition import gathered
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 
-ROUND_OFF = 1e-12  # of a weight of C
-
-
-@dataclass(frozen=True)
-class Held:
-    """What a [[fix]] holds: vertices (k,) along `axes` (indices), and with `clamp` the edges between them."""
-
-    name: str
-    vertices: Ints
-    axes: tuple[int, ...]
-    clamp: bool
+ROUND_OFF = 1e-9  # of 1: a direction that others hold already
 
 
 def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
@@ -32,9 +23,17 @@ def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
     forces = problem.inner_forces(at)[:count]
     if problem.contact:
         forces += problem.contact.force(at.positions, problem.time, frozen=False).ravel()
-    held = 1.0 - np.asarray(problem.part.matrix[:count].sum(axis=1)).ravel()
-    held[np.abs(held) < ROUND_OFF] = 0.0
-    return -(held * forces).reshape(-1, 3)
+    return -np.einsum("nij,nj->ni", problem.kept, forces.reshape(-1, 3))
+
+
+def driven(problem: Problem) -> Flags:
+    """(local vertices, 3) components that supports hold where any moves; all that are coupled to one where supports
+    move along local axes."""
+    carried = (
+        np.diff(problem.part.supports.carry.indptr)[: problem.layout.vertices].reshape(-1, 3).any(axis=1)
+    )
+    alone = np.einsum("nii->ni", problem.kept) == 1.0
+    return problem.moves & np.where(carried[:, None], problem.kept.any(axis=2), alone)
 
 
 def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
@@ -51,27 +50,24 @@ def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
 
 
 def support_table(
-    problem: Problem, y: PETSc.Vec, shell: Shell | None, holds: list[Held] | None
+    problem: Problem, y: PETSc.Vec, shell: Shell | None, holds: Sequence[Hold] | None
 ) -> list[dict] | None:
     """On rank 0 (which has shell and holds) per [[fix]] its name, force (N) on the shell and moment (N m) about the
-    centroid of its vertices as they are now. What several hold along an axis counts with the first; what is sewn to a
-    held vertex counts with that."""
+    centroid of its vertices as they are now. What several hold along one direction counts with the first; what is sewn
+    to a held vertex counts with that."""
     forces, x = gathered(problem, support_forces(problem, y)), gathered(problem, problem.positions(y))
     pieces = problem.comm.gather(clamp_moments(problem, y))
     if pieces is None or shell is None or holds is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    joined = _joined(shell)
-    left, loose = np.ones((len(x), 3), dtype=bool), np.ones(len(ends), dtype=bool)
+    joined, loose = seams_of(shell).astype(bool), np.ones(len(ends), dtype=bool)
+    selected = np.zeros((len(x), len(holds)), dtype=bool)
+    for k, hold in enumerate(holds):
+        selected[hold.vertices, k] = True
     table = []
-    for hold in holds:
-        inside = np.zeros(len(x), dtype=bool)
-        inside[hold.vertices] = True
-        mine = np.zeros((len(x), 3), dtype=bool)
-        mine[:, hold.axes] = (joined @ (joined.T @ inside))[:, None]
-        mine &= left
-        left &= ~mine
-        force, centre = np.where(mine, forces, 0.0), x[inside].mean(axis=0)
+    shares = _shares(holds, joined @ (joined.T @ selected), forces)
+    for hold, inside, force in zip(holds, selected.T, shares, strict=True):
+        centre = x[inside].mean(axis=0)
         moment = np.cross(x - centre, force).sum(axis=0)
         if hold.clamp:
             own = loose & inside[ends].all(axis=1)
@@ -81,9 +77,27 @@ def support_table(
     return table
 
 
-def _joined(shell: Shell) -> sp.csr_matrix:
-    """(n, base vertices) whether a vertex follows a base vertex of its seams; the identity without."""
+def _shares(holds: Sequence[Hold], members: Flags, forces: Reals) -> list[Reals]:
+    """(n, 3) of each hold of the forces (n, 3) N: along its directions, together all. members (n, holds)."""
+    shares = [np.zeros_like(forces) for _ in holds]
+    alike, which = np.unique(members, axis=0, return_inverse=True)
+    for kind, tables in enumerate(alike):
+        vertices, rows = np.flatnonzero(which.ravel() == kind), np.zeros((0, 3))
+        owner: list[int] = []
+        for k in np.flatnonzero(tables):
+            for direction in holds[k].directions:
+                new = direction - np.linalg.pinv(rows) @ (rows @ direction)
+                if np.linalg.norm(new) > ROUND_OFF:
+                    rows, owner = np.vstack([rows, direction]), [*owner, k]
+        along = forces[vertices] @ np.linalg.pinv(rows)
+        for k, amount, direction in zip(owner, along.T, rows, strict=True):
+            shares[k][vertices] += amount[:, None] * direction
+    return shares
+
+
+def seams_of(shell: Shell) -> sp.csr_matrix:
+    """(n, base vertices) the shares by which a vertex follows base vertices of its seams; the identity without."""
     n = len(shell.points)
     if not len(shell.slave):
-        return sp.identity(n, dtype=bool, format="csr")
-    return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)[0].astype(bool)
+        return sp.identity(n, format="csr")
+    return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)[0]

@@ -112,13 +112,12 @@ def _free_modes(shell: Shell, vertices: Ints) -> Reals:
     x = shell.points[vertices]
     centre, size = x.mean(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-300)
     rows = [np.zeros((1, 6))]
+    held = shell.held[vertices]
+    if shell.springs is not None:
+        held = held + (shell.springs[vertices] > 0.0)[:, :, None] * np.eye(3)
     for axis in range(3):
-        held = shell.fixed[vertices, axis]
-        if shell.springs is not None:
-            held = held | (shell.springs[vertices, axis] > 0.0)
-        r = (x[held] - centre) / size
-        unit = np.eye(3)[axis]
-        rows.append(np.column_stack([np.tile(unit, (len(r), 1)), np.cross(r, unit)]))
+        r = (x - centre) / size
+        rows.append(np.column_stack([held[:, axis], np.cross(r, held[:, axis])]))
     edge = shell.topology.edges[shell.clamped_edges]
     edge = edge[np.isin(edge[:, 0], vertices)]
     along = shell.points[edge[:, 1]] - shell.points[edge[:, 0]]

@@ -28,9 +28,9 @@ class Unknowns:
         self._ghost_values = PETSc.Vec().createSeq(len(part.ghost_global), comm=PETSc.COMM_SELF)
         self._ghost_scatter = PETSc.Scatter().create(self._template, ghosts, self._ghost_values, None)
         self._collect = part.matrix.T.tocsr()[: part.owned]
-        # (own unknowns,) the axis that each moves along, 3 for directors
-        dof = self._collect.indices[self._collect.indptr[:-1]]
-        self.axis = np.where(dof < self.vertices, dof % 3, 3)
+        # (own unknowns,) whether each is a director's; the axis that the others move along, nearly where axes are local
+        self.turns = part.place >= len(part.vertex)
+        self.axis = np.where(self.turns, 3, np.abs(part.direction[: part.owned]).argmax(axis=1))
         self.origin = self.create()
         self._counted_anew = False
         self._start()
@@ -110,8 +110,15 @@ class Unknowns:
         dofs = np.concatenate([self.base + u, phi]) - part.closure - part.supports.between(0.0, time)
         self._start()
         self.origin.set(0.0)
-        single = np.flatnonzero(np.diff(part.matrix.indptr) == 1)
-        column = part.matrix.indices[part.matrix.indptr[single]]
-        own = column < part.owned
-        y.array[column[own]] = dofs[single[own]]
+        y.array[:] = self.along(dofs)
         return True
+
+    def along(self, dofs: np.ndarray) -> np.ndarray:
+        """(own unknowns,) components of local degrees of freedom (dofs,) along each: what C would make of them, where
+        it does."""
+        nodes, part = dofs[: self.vertices].reshape(-1, 3), self.part
+        found = np.empty(part.owned)
+        still = ~self.turns
+        found[still] = np.einsum("ni,ni->n", part.direction[: part.owned][still], nodes[part.place[still]])
+        found[self.turns] = dofs[part.place[self.turns] + 2 * len(part.vertex)]
+        return found

@@ -45,21 +45,24 @@ PER = ("total", "length", "area")
 PER_MEANING = "total over the selection, or per length of its edges or area of its triangles, at the start"
 
 
-def check_share(per: str, share: str | None) -> None:
-    """Raises Rejected for a share that is not what the value is per."""
-    if per != "total" and share is not None and share != per:
-        raise Rejected(f'"{share}"; allowed with per = "{per}": none, or "{per}"', ("share",))
-
-
 @dataclass(frozen=True, kw_only=True)
-class Force:
+class Shared:
+    """A value over a selection."""
+
     select: dict[str, Any] = key(SELECT, SELECTED)
-    value: Vector3 = key(vector("N, N/m or Pa, see per"), "dead force")
     per: str = key(Choice(*PER), PER_MEANING, default="total")
     share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
 
     def check(self, given: set[str]) -> None:
-        check_share(self.per, self.share)
+        if self.per != "total" and self.share not in (None, self.per):
+            raise Rejected(
+                f'"{self.share}"; allowed with per = "{self.per}": none, or "{self.per}"', ("share",)
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Force(Shared):
+    value: Vector3 = key(vector("N, N/m or Pa, see per"), "dead force")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,17 +103,11 @@ class Loads:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spring:
-    select: dict[str, Any] = key(SELECT, SELECTED)
+class Spring(Shared):
     stiffness: float = key(
         Number("N/m, N/m^2 or N/m^3, see per", above=0), "of an elastic support to where the shell starts"
     )
     axes: str = key(Axes(), "axes along which it acts", default="xyz")
-    per: str = key(Choice(*PER), PER_MEANING, default="total")
-    share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
-
-    def check(self, given: set[str]) -> None:
-        check_share(self.per, self.share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,11 +132,5 @@ class Tie:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mass:
-    select: dict[str, Any] = key(SELECT, SELECTED)
+class Mass(Shared):
     value: float = key(Number("kg, kg/m or kg/m^2, see per", above=0), "mass beside the fabric's")
-    per: str = key(Choice(*PER), PER_MEANING, default="total")
-    share: str | None = key(Choice(*SHARES), SHARE_MEANING, default=None)
-
-    def check(self, given: set[str]) -> None:
-        check_share(self.per, self.share)

@@ -11,7 +11,6 @@ from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
 from voile.keys import (
-    Axes,
     Boolean,
     Choice,
     Grain,
@@ -27,10 +26,11 @@ from voile.keys import (
     vector,
 )
 from voile.mesh import RawMesh
-from voile.scene.loads import SELECT, SELECTED, Band, Loads, Mass, Spring, Tie
-from voile.scene.moves import Move
+from voile.scene.fix import Fix
+from voile.scene.loads import Band, Loads, Mass, Spring, Tie
 from voile.scene.obstacles import Body, Obstacle
 from voile.scene.pattern import Pattern
+from voile.scene.section import Section
 from voile.scene.tasks import TASKS, Dynamics, Inverse, Modes, Output, Statics
 
 
@@ -121,32 +121,6 @@ class Fabric:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fix:
-    name: str = key(Text(), "title in the table of reactions; default: fix and its index", default="")
-    select: dict[str, Any] = key(SELECT, SELECTED)
-    axes: str = key(Axes(), "axes along which the selection is held", default="xyz")
-    clamp: bool = key(
-        Boolean(),
-        "also hold the directors: no rotation there (of a rest shape in place: from its own angle)",
-        default=False,
-    )
-    move: Move | None = key(Table(Move), "prescribed motion along the held axes", default=None)
-
-    def check(self, given: set[str]) -> None:
-        move = self.move
-        for name, unit in (("displacement", "m"), ("velocity", "m/s")) if move else ():
-            for axis, part in zip("xyz", getattr(move, name), strict=True):
-                if part != 0.0 and axis not in self.axes:
-                    raise Rejected(
-                        f'{part:g} {unit} along {axis}, but axes = "{self.axes}" leaves {axis} free; '
-                        "allowed: motion along the held axes",
-                        ("move", name),
-                    )
-        if move and (move.path or any(move.rotation) or any(move.angular_velocity)) and len(self.axes) < 3:
-            raise Rejected(f'axes = "{self.axes}"; allowed with a rotation or a path: "xyz"', ("move",))
-
-
-@dataclass(frozen=True, kw_only=True)
 class Contact:
     offset: float | None = key(
         Number("m", least=0),
@@ -181,6 +155,9 @@ class Scene:
     band: tuple[Band, ...] = key(Tables(Band), "elastic bands along edges", default=())
     tie: tuple[Tie, ...] = key(Tables(Tie), "bars between two vertices", default=())
     mass: tuple[Mass, ...] = key(Tables(Mass), "masses beside the fabric's", default=())
+    section: tuple[Section, ...] = key(
+        Tables(Section), "cuts whose section forces the summary gives", default=()
+    )
     obstacle: tuple[Body, ...] = key(Tables(Obstacle), "bodies the shell touches", default=())
     contact: Contact = key(Table(Contact), "contact", default=Contact())
     statics: Statics = key(Table(Statics), "task = statics", default=Statics())
@@ -274,6 +251,8 @@ class Scene:
             raise Rejected(f"{self.modes.about:g}; allowed with contact: 1", ("modes", "load_factor"))
 
     def _check_fields(self) -> None:
+        if self.section and self.scene.task not in ("statics", "dynamics"):
+            raise Rejected("allowed with task = statics or dynamics", ("section",))
         if self.output.fields and self.scene.task not in ("statics", "dynamics"):
             raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
         if "bending_moment" in self.output.fields and self.shell.model == "membrane":
@@ -291,6 +270,11 @@ class Scene:
             if fabric.shrink:
                 raise Rejected("allowed with task = inverse: 0", ("fabric", index, "shrink"))
         given = next((name for name in ("spring", "band", "tie") if getattr(self, name)), None)
+        for index, fix in enumerate(self.fix):
+            if fix.frame and inverse:
+                raise Rejected("allowed without task = inverse", ("fix", index, "frame"))
+            if fix.frame and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
+                raise Rejected('allowed with dynamics.solver = "newton"', ("fix", index, "frame"))
         if given and self.scene.task not in ("statics", "dynamics"):
             raise Rejected("allowed with task = statics or dynamics", (given,))
         if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":

@@ -44,11 +44,12 @@ class Options:
 
 def pays(problem: Problem, options: Options | None = None) -> bool:
     """Whether the mesh is large and only its loads lead the shell: no path of supports or obstacles, which friction
-    and branches remember; no layers in each other's way, which a level would carry through each other; no springs,
-    which levels do not have."""
+    and branches remember; no layers in each other's way, which a level would carry through each other; no springs
+    or local axes of supports, which levels do not have."""
     contact = problem.contact
     led = problem.moves or (contact is not None and (contact.moves or contact.itself is not None))
     count = problem.comm.allreduce(int(problem.own.sum()))
+    led = led or problem.turned
     return problem.conservative and not (led or problem.springs) and count > (options or Options()).smallest
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from voile.keys import Array, Choice, File, Integer, Number, Rejected, Table, Tables, Text, key
 from voile.keys.kinds import show, wrong_type
-from voile.scene.schema import SELECT
+from voile.scene.loads import SELECT
 from voile.study.settings import Settings, brief, check, flattened, full
 
 EXTRAPOLATE = "extrapolate"

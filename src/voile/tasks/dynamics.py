@@ -44,7 +44,7 @@ def run(job: Run) -> str:
             path.reason += f"; {told}"
         job.progress.line(f"note: {told}; history.h5: residual")
         job.note(f"{told}; history.h5: residual")
-    job.summarise(problem, path, dynamics=figures(problem, path), supports=job.supports(problem, path))
+    job.summarise(problem, path, dynamics=figures(problem, path), **job.forces(problem, path))
     return "" if path.converged else path.reason
 
 

@@ -27,6 +27,7 @@ from voile.explain import modelled
 from voile.petsc_options import unused_options
 from voile.problem.contact import contact_fields, shell_layers, with_obstacles
 from voile.problem.problem import Problem
+from voile.problem.sections import section_table
 from voile.problem.shell import Shell
 from voile.problem.stress_fields import shell_fields
 from voile.problem.support_forces import support_table
@@ -129,14 +130,18 @@ class Run:
             finally:
                 self.stored = self.stored or writer.steps > 0
 
-    def supports(self, problem: Problem, path: LoadPath | TimePath) -> list[dict]:
-        """What each [[fix]] exerts at the end of a path, on rank 0; nothing where nothing is held or computed.
-        Collective."""
-        if path.last is None or not problem.held:
-            return []
+    def forces(self, problem: Problem, path: LoadPath | TimePath) -> dict[str, Any]:
+        """What each [[fix]] and what each [[section]]'s cut exerts at the end of a path, on rank 0; nothing where there
+        is none or nothing computed. Collective."""
+        if path.last is None:
+            return {"supports": []}
         at = problem.at(path.last.factor if isinstance(path.last, LoadStep) else path.last.time)
-        holds, shell = (self.model.holds, self.model.shell) if self.model else (None, None)
-        return support_table(at, path.state, shell, holds) or []
+        model, y = self.model, path.state
+        shell, holds = (model.shell, model.holds) if model else (None, None)
+        found = {"supports": (support_table(at, y, shell, holds) or []) if problem.held else []}
+        if self.scene.section:
+            found["sections"] = section_table(at, y, shell, model.sections if model else ()) or []
+        return found
 
     def summarise(
         self,

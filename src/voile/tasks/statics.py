@@ -24,7 +24,7 @@ def run(job: Run) -> str:
         path = solve_statics(problem, options, on_step=steps)
         steps.finish(path)
     _tell(job, path)
-    job.summarise(problem, path, supports=job.supports(problem, path))
+    job.summarise(problem, path, **job.forces(problem, path))
     return "" if path.converged else path.reason
 
 
@@ -48,7 +48,7 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
         path.converged, path.reason = False, f"statics.branch = {s.branch}: {many} on the path"
     _tell(job, path)
     more: dict[str, Any] = {"limit_points": told["limit point"], "bifurcations": bifurcations}
-    job.summarise(problem, path, supports=job.supports(problem, path), **more)
+    job.summarise(problem, path, **job.forces(problem, path), **more)
     return "" if path.converged else path.reason
 
 

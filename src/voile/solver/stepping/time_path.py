@@ -18,6 +18,7 @@ from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, least_area, slow_rate
+from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
@@ -178,7 +179,6 @@ class Stepper:
         laws += problem.contact.obstacles if problem.contact else []
         own = max([problem.part.supports.ends, *(law.ends for law in laws)])
         self.changes = problem.comm.allreduce(own, op=MPI.MAX)  # s until which what is prescribed does
-        self.driven = problem.part.fixed[: self.k.positions.size].reshape(-1, 3) & problem.moves
 
     def follow(self, on_step: OnStep | None = None) -> None:
         """To the duration; calls on_step after each step."""
@@ -321,7 +321,7 @@ class Stepper:
         prediction, problem, tolerance (N) and outcome."""
         k, h, problem, wanted = self.k, forces.h, forces.problem, 0.0
         prediction, euler = forces.scheme.predict(k, h), ImplicitEuler().predict(k, h)
-        bearing = self._bearing(problem, self.driven)
+        bearing = self._bearing(problem, driven(problem))
         while True:
             prediction = prediction.where(bearing, euler)
             if problem.contact:
@@ -352,7 +352,7 @@ class Stepper:
         bears = force.any(axis=1) | self.path.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
-        unknowns.array[:] = problem.layout.collect(dofs) > 0.0
+        unknowns.array[:] = problem.layout.diagonal(dofs) > 0.0
         return known | (bears | problem.motion(unknowns).any(axis=1))[:, None]
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:

@@ -1,0 +1,91 @@
+"""What the tables [[fix]] of a scene hold of its mesh, and how that moves; the cuts of its [[section]]s."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from voile.arrays import Ints
+from voile.contact.motion import Motion
+from voile.errors import InputError
+from voile.keys import Vector3
+from voile.mesh import Surface, select
+from voile.mesh.topology import Topology
+from voile.problem.local_axes import Hold, frame_axes
+from voile.problem.sections import Section
+from voile.scene import Scene
+from voile.scene.motion import motion_of
+from voile.scene.moves import Move
+
+GLOBAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+RIGHT = 1e-9  # cosine under which two directions are at right angles
+
+
+def supports_of(
+    scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]
+) -> tuple[list[Hold], Ints]:
+    """What each table holds, and the clamped edges."""
+    n, holds = len(surface.points), []
+    clamped = np.zeros(len(topology.edges), dtype=bool)
+    for k, fix in enumerate(scene.fix):
+        where = f"{scene.path}: fix.{k}.select"
+        vertices = select(surface, loops, fix.select, where)
+        frame = frame_axes(fix.frame or GLOBAL)
+        directions = frame[["xyz".index(axis) for axis in fix.axes]]
+        move = np.zeros(3) if fix.move is None else fix.move.displacement @ frame
+        holds.append(Hold(fix.name or f"fix {k}", vertices, directions, fix.clamp, move))
+        if fix.clamp:
+            inside = np.zeros(n, dtype=bool)
+            inside[vertices] = True
+            edges = inside[topology.edges].all(axis=1)
+            if not edges.any():
+                raise InputError(f"{where}: clamp = true needs at least one edge with both ends selected")
+            clamped |= edges
+    return holds, np.flatnonzero(clamped).astype(np.int32)
+
+
+def sections_of(scene: Scene, surface: Surface, loops: list[Ints]) -> list[Section]:
+    """The cuts of the scene's tables [[section]]."""
+    sections = []
+    for k, table in enumerate(scene.section):
+        where = f"{scene.path}: section.{k}"
+        if table.select is not None:
+            vertices = select(surface, loops, table.select, f"{where}.select")
+        else:
+            vertices = np.flatnonzero((surface.points - np.array(table.point)) @ np.array(table.normal) > 0.0)
+        if not 0 < len(vertices) < len(surface.points):
+            raise InputError(
+                f"{where} has {len(vertices)} of {len(surface.points)} vertices inside; allowed: some, not all"
+            )
+        about = None if table.about is None else np.array(table.about)
+        sections.append(Section(table.name or f"section {k}", vertices, about))
+    return sections
+
+
+def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]:
+    """With task = dynamics: the supports that move, and how. Raises InputError if two tables move a vertex and neither
+    alike nor at right angles."""
+    if scene.scene.task != "dynamics":
+        return ()
+    moves = []
+    for k, (fix, hold) in enumerate(zip(scene.fix, holds, strict=True)):
+        mine = hold.vertices
+        for other, before in zip(scene.fix[:k], holds, strict=False):
+            both = np.intersect1d(mine, before.vertices)
+            across = np.abs(before.directions @ hold.directions.T).max() < RIGHT
+            if not len(both) or across or not (fix.move or other.move):
+                continue
+            if fix.move != other.move or np.abs(before.projection - hold.projection).max() > RIGHT:
+                raise InputError(
+                    f"{scene.path}: fix.{k}.select: vertex {both[0]} is moved differently by another fix, "
+                    f"{before.name}; allowed: the same motion, or directions at right angles"
+                )
+            mine = np.setdiff1d(mine, both)
+        if fix.move:
+            moves.append((mine, motion_of(scene, _along_axes(fix.move, fix.frame))))
+    return tuple(moves)
+
+
+def _along_axes(move: Move, frame: tuple[Vector3, ...] | None) -> Move:
+    """A motion along a table's axes, along the global ones."""
+    axes = frame_axes(frame or GLOBAL)
+    return replace(move, displacement=tuple(move.displacement @ axes), velocity=tuple(move.velocity @ axes))

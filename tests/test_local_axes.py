@@ -1,0 +1,132 @@
+"""Supports in local axes: the same shell, turned as a whole with the axes of its supports, does the same."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_python import sheet
+
+import voile
+from voile.errors import InputError
+from voile.problem.local_axes import Hold, combined, inverse, principal
+
+TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
+SIZE = 0.1
+
+
+def shell(turn: np.ndarray, **more) -> dict:
+    """A bent sheet that slides down a wall: its left edge is hinged, its right edge slides in the plane across z and is
+    moved along x, its back edge is clamped in a plane of symmetry, one corner only slides along y. Turned."""
+    points, triangles = sheet(6, SIZE)
+    points[:, 2] = 0.3 * points[:, 0] * (SIZE - points[:, 0]) / SIZE
+    frame = None if (turn == np.eye(3)).all() else [list(turn[:, 0]), list(turn[:, 1])]
+    nodes = {
+        name: np.flatnonzero(np.abs(points[:, axis] - at) < 1e-9).tolist()
+        for name, axis, at in (("left", 0, 0.0), ("right", 0, SIZE), ("back", 1, SIZE))
+    }
+    fixes = [
+        {"name": "left", "select": {"nodes": nodes["left"]}, "axes": "xz"},
+        {"name": "right", "select": {"nodes": nodes["right"]}, "axes": "xz",
+         "move": {"displacement": [-0.02 * SIZE, 0, 0]}},
+        {"name": "back", "select": {"nodes": nodes["back"]}, "axes": "y", "clamp": True},
+    ]  # fmt: skip
+    return {
+        "shell": {"mesh": (points @ turn.T, triangles), "young": 1e7, "thickness": 1e-3, "density": 300.0},
+        "loads": {"gravity": (turn @ [0.5, -2.0, -9.81]).tolist()},
+        "fix": [fix if frame is None else {**fix, "frame": frame} for fix in fixes],
+        "statics": {"tolerance": 1e-12},
+        **more,
+    }
+
+
+def test_statics_and_reactions_turn_with_the_axes():
+    one, other = (voile.run(shell(turn)) for turn in (np.eye(3), TURN))
+    assert abs(one.positions - one.start).max() > 0.01 * SIZE
+    assert abs(other.positions - one.positions @ TURN.T).max() < 1e-10 * SIZE
+    weight = 300.0 * 1e-3 * 9.81 * SIZE**2
+    for mine, theirs in zip(one.summary["supports"], other.summary["supports"], strict=True):
+        assert np.linalg.norm(mine["force"]) > 0.01 * weight
+        assert np.allclose(TURN @ mine["force"], theirs["force"], rtol=0.0, atol=1e-9 * weight)
+        assert np.allclose(TURN @ mine["moment"], theirs["moment"], rtol=0.0, atol=1e-9 * weight * SIZE)
+
+
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "moreau-jean"])
+def test_motion_turns_with_the_axes(scheme):
+    clock = {"time_step": 0.002, "duration": 0.01, "scheme": scheme, "tolerance": 1e-11}
+    if scheme == "moreau-jean":
+        clock["damping"] = {"mass": 1.0, "stiffness": 1e-4}
+    scenes = [shell(turn, scene={"task": "dynamics"}, dynamics=clock) for turn in (np.eye(3), TURN)]
+    if scheme == "generalized-alpha":  # where an oblique support moves, its vertices follow implicit Euler
+        for scene in scenes:
+            del scene["fix"][1]["move"]
+    one, other = map(voile.run, scenes)
+    assert abs(one.positions - one.start).max() > 1e-4 * SIZE
+    assert abs(other.positions - one.positions @ TURN.T).max() < 1e-10 * SIZE
+
+
+def test_modes_turn_with_the_axes():
+    scenes = [shell(turn, scene={"task": "modes"}) for turn in (np.eye(3), TURN)]
+    one, other = (voile.run(scene).summary["modes"]["frequencies"] for scene in scenes)
+    assert np.allclose(one, other, rtol=1e-9)
+
+
+def test_a_sheet_slides_down_an_inclined_plane_on_two_ranks(tmp_path, run_on):
+    """Held across the plane alone (one direction is enough) and pulled up it by a line of vertices held along it: their
+    reaction is the weight's share along the plane, the plane bears the rest."""
+    (tmp_path / "sheet.obj").write_text(_obj(*sheet(6, SIZE)))
+    slope, text = np.radians(30.0), "[scene]\ntask = 'statics'\n[shell]\nmesh = 'sheet.obj'\nyoung = 1e6\n"
+    down, normal = (np.sin(slope), 0.0, -np.cos(slope)), (0.0, 0.0, 1.0)
+    text += f"thickness = 1e-3\ndensity = 1000.0\n[loads]\ngravity = {[9.81 * v for v in down]}\n"
+    text += f"[[fix]]\nname = 'plane'\nselect = {{ all = true }}\naxes = 'x'\nframe = [{list(normal)}]\n"
+    text += "[[fix]]\nname = 'rope'\nselect = { box = [[-1, -1, -1], [1e-6, 1, 1]] }\naxes = 'x'\n"
+    oblique = [np.cos(0.3), 0.0, np.sin(0.3)]  # together with the plane: no motion along x
+    text += f"frame = [{oblique}]\n[[fix]]\nselect = {{ nodes = [0] }}\naxes = 'y'\n"
+    (tmp_path / "scene.toml").write_text(text)
+    for ranks in (1, 2):
+        run_on(ranks, tmp_path / "scene.toml", tmp_path / str(ranks))
+        found = {row["name"]: row["force"] for row in voile.read(tmp_path / str(ranks)).summary["supports"]}
+        weight = 9.81 * SIZE**2
+        rope = -weight * np.sin(slope) / oblique[0]  # of which the plane takes what is across it
+        assert np.allclose(found["rope"], rope * np.array(oblique), atol=1e-6 * weight)
+        assert np.allclose(found["plane"][:2], 0.0, atol=1e-6 * weight)
+        assert found["plane"][2] == pytest.approx(weight * np.cos(slope) - rope * oblique[2], rel=1e-6)
+    one, two = (voile.read(tmp_path / name).positions for name in "12")
+    assert abs(one - two).max() < 1e-9 * SIZE
+
+
+def test_oblique_supports_agree_or_are_refused():
+    """Two directions at 60 degrees hold a plane; what they prescribe is met exactly."""
+    a, b = np.array([1.0, 0.0, 0.0]), np.array([0.5, np.sqrt(0.75), 0.0])
+    goal = np.array([0.3, -0.2, 0.0])
+    holds = [Hold(str(k), np.array([0]), d[None], False, (d @ goal) * d) for k, d in enumerate((a, b))]
+    axes, fixed, motion = combined(holds, 1, "fix")
+    assert axes is not None and fixed.sum() == 2
+    assert np.allclose(motion[0], goal, atol=1e-14)
+    forms = np.sum([hold.projection for hold in holds], axis=0)[None]
+    assert np.allclose(inverse(forms)[0] @ forms[0], np.diag([1.0, 1.0, 0.0]), atol=1e-14)
+    assert (principal(np.eye(3)[None])[0] == np.eye(3)).all()
+    clash = Hold("2", np.array([0]), a[None], False, 0.1 * a)
+    with pytest.raises(InputError, match="moved differently"):
+        combined([*holds, clash], 1, "fix")
+
+
+@pytest.mark.parametrize(
+    ("fix", "message"),
+    [
+        ({"frame": [[0, 0, 0]]}, "not all zero"),
+        ({"frame": [[1, 0, 0], [2, 0, 0]]}, "parallel"),
+        ({"frame": [[1, 0, 0]], "axes": "xy"}, "a second one"),
+        ({"frame": [[1, 0, 0]], "axes": "yz", "move": {"displacement": [0, 0.1, 0]}}, "a second one"),
+        ({"frame": [[1, 0, 0]], "axes": "x", "move": {"displacement": [0, 0.1, 0]}}, "along x"),
+        ({"frame": [[1, 0, 0], [0, 1, 0]], "move": {"rotation": [0, 0.1, 0]}}, "without rotation"),
+    ],
+)
+def test_frames_that_are_none(fix, message):
+    scene = shell(np.eye(3))
+    scene["fix"] = [{"select": {"all": True}, **fix}]
+    with pytest.raises(InputError, match=message):
+        voile.load(scene)
+
+
+def _obj(points: np.ndarray, triangles: np.ndarray) -> str:
+    lines = ["v " + " ".join(f"{c:.17g}" for c in x) for x in points]
+    return "\n".join(lines + ["f " + " ".join(str(i + 1) for i in t) for t in triangles]) + "\n"
