@@ -126,13 +126,16 @@ def supports_move(shell: Shell) -> bool:
     return bool(shell.motion.any()) or any(motion.moves for _, motion in shell.moves)
 
 
+SYSTEMS = "systems by CG or GMRES with ILU(0), by MUMPS in steps where these do not converge"
+
+
 def _solver(scene: Scene, model: Model) -> str:
     if scene.scene.task == "dynamics":
         if scene.dynamics.solver == "local-global":
             step = f"at most {scene.dynamics.iterations} local and global iterations"
             return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, one factor by CHOLMOD"
         step = "semismooth Newton" if model.obstacles or scene.contact.self_contact else "Newton"
-        return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, MUMPS"
+        return f"{scene.dynamics.scheme}, steps of {scene.dynamics.time_step:g} s by {step}, {SYSTEMS}"
     if scene.scene.task == "inverse" and not scene.inverse.estimate:
         search = "Newton in the rest shape (MUMPS LU), inertia as certificate"
         then = {

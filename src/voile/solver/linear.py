@@ -30,13 +30,14 @@ INERTIA = "inertia_"  # prefix of factorisations that count negative eigenvalues
 
 @dataclass
 class Counts:
-    """What a run did, failed attempts included: numeric factorisations, solves with them, Newton iterations; seconds
-    spent in the first two."""
+    """What a run did, failed attempts included: numeric factorisations, incomplete ones too, solves with them, Newton
+    iterations; seconds spent in the first two; Krylov's iterations with incomplete factors."""
 
     factorisations: int = 0
     solves: int = 0
     iterations: int = 0
     seconds: float = 0.0
+    krylov: int = 0
 
     def add(self, other: "Counts") -> None:
         """What another part of the same run did."""

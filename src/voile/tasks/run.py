@@ -165,6 +165,7 @@ class Run:
             "newton_iterations": path.newton_iterations,
             "linear_solves": path.counts.solves,
             "factorisations": path.counts.factorisations,
+            "krylov_iterations": path.counts.krylov,
             "residual_norm": last.residual if last else None,
             "residual_tolerance": last.tolerance if last else None,
             "energy": last.energies if last else {},

@@ -167,9 +167,10 @@ class Iterate:
             if not np.isfinite(residual.norm()):
                 break
             linear = factor(self.work, problem, there, "mixed", self._shift())
-            if linear.negative or not linear.usable:
+            if linear.usable and not linear.negative:
+                descent_direction(linear, residual, step)
+            if linear.negative or not linear.usable:  # iterations find it only now
                 break
-            descent_direction(linear, residual, step)
         self._pause = 0 if best < energy else min(max(2 * self._pause, 1), 64)
         self._rest = self._pause
         return best
@@ -231,7 +232,10 @@ class Iterate:
         if linear.negative or not linear.usable:
             return None
         slope = descent_direction(linear, residual, direction)
-        return slope if np.isfinite(slope) and slope < 0.0 else None
+        descends = (
+            np.isfinite(slope) and slope < 0.0 and not linear.negative
+        )  # iterations may find it only here
+        return slope if descends else None
 
     def _factor(self, y: PETSc.Vec, kind: str) -> LinearSolver:
         linear = factor(self.work, self.problem, y, kind, self._shift())

@@ -9,6 +9,7 @@ from voile.problem.lifetime import until_the_end
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.state import State
+from voile.solver.iterative import Iterative
 from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, use_cholesky, use_lu
 
 LINEAR = 1e-10  # GMRES' tolerance; preconditioned by the symmetric part's factor it takes 3 to 5 iterations
@@ -44,10 +45,11 @@ class Method(Protocol):
 class Workspace:
     """What the methods of a run share: the tangent's matrix with its linear solvers, and the counts.
 
-    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
+    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_. With
+    `inertia` both can iterate first (`iterate`), prefixes step_ and step_friction_.
     """
 
-    def __init__(self, problem: Problem, counts: Counts | None = None):
+    def __init__(self, problem: Problem, counts: Counts | None = None, inertia: bool = False):
         self.comm, self.monitor = problem.comm, problem.monitor
         self.matrix, self.counts = problem.create_matrix(), counts or Counts()
         set_defaults(DEFAULTS)
@@ -56,7 +58,9 @@ class Workspace:
         ksp.setTolerances(rtol=LINEAR)
         use_cholesky(ksp.pc)
         ksp.setFromOptions()
-        self.symmetric = LinearSolver(ksp, self.counts)
+        self.inertia = inertia
+        direct = LinearSolver(ksp, self.counts)
+        self.symmetric = Iterative(direct, self.counts, "step_", problem.conservative) if inertia else direct
         self._unsymmetric: LinearSolver | None = None
 
     @property
@@ -68,8 +72,16 @@ class Workspace:
             ksp.setType(PETSc.KSP.Type.PREONLY)
             use_lu(ksp.pc)
             ksp.setFromOptions()
-            self._unsymmetric = LinearSolver(ksp, self.counts)
+            direct = LinearSolver(ksp, self.counts)
+            eased = Iterative(direct, self.counts, "step_friction_", symmetric=False)
+            self._unsymmetric = eased if self.inertia else direct
         return self._unsymmetric
+
+    def iterate(self, tries: bool) -> None:
+        """Whether systems are tried by iteration from here on."""
+        for solver in (self.symmetric, self.unsymmetric):
+            if isinstance(solver, Iterative):
+                solver.tries = tries
 
 
 class Iteration(Protocol):

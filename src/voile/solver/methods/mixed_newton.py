@@ -64,10 +64,10 @@ class Iterate:
             if reason:
                 break
             linear = factor(method.work, problem, y, "exact" if it == 1 else "mixed")
-            method.negative = linear.negative if it == 1 else None  # the others are not exact
-            minimum = not linear.negative
             if not linear.usable or not np.isfinite(descent_direction(linear, residual, direction)):
                 break
+            method.negative = linear.negative if it == 1 else None  # the others are not exact
+            minimum = not linear.negative
             limit(problem, y, direction)
             problem.predict(y, direction)
             y.axpy(1.0, direction)

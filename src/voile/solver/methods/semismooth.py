@@ -126,9 +126,9 @@ class Iterate:
             symmetric = problem.everywhere(linear.symmetric)
             problem.tangent(y, matrix, kind, linear.blocks())
             solver = self.work.symmetric if symmetric else self.work.unsymmetric
-            self.method.negative = solver.negative if solver.factor(matrix) else None
-            if solver.usable:
+            if solver.factor(matrix):
                 self._direction(solver, linear, y, direction)
+            self.method.negative = solver.negative if solver.usable else None
             if not (solver.usable and np.isfinite(direction.norm())):
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)

@@ -28,19 +28,38 @@ class Options:
     sharp: float = 0.01
 
 
+@dataclass
+class Iterated:
+    """A method whose systems are tried by iteration first."""
+
+    method: Method
+    work: Workspace
+
+    def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """See Method."""
+        self.work.iterate(True)
+        try:
+            return self.method.solve(problem, y, tolerance)
+        finally:
+            self.work.iterate(False)
+
+
 class NewtonStep:
     """A method for the problems of steps, which have an inertia term."""
 
     def __init__(self, problem: Problem, options: Options | None = None):
-        self.work, self.options = Workspace(problem), options or Options()
+        self.work, self.options = Workspace(problem, inertia=True), options or Options()
         descent, methods = Descent(self.work), list[Method]()
         if problem.contact:
             semismooth = Semismooth(self.work)
             firm = AugmentedLagrangian(descent, semismooth, 0.0, LagrangianOptions(softest=1.0))
-            methods = [semismooth, firm]
+            methods = [Iterated(semismooth, self.work), Iterated(firm, self.work)]
         else:
             mixed = MixedNewton(self.work)
-            methods = [Sharpened(mixed, mixed), Sharpened(descent, descent)]
+            methods = [
+                Iterated(Sharpened(mixed, mixed), self.work),
+                Iterated(Sharpened(descent, descent), self.work),
+            ]
         self.cascade = Cascade(methods)
 
     @property
