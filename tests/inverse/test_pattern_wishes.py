@@ -1,13 +1,14 @@
 """What a pattern maker asks for: symmetry, grain, ease and allowance of single panels and seams."""
 
 import json
+import sys
 from xml.etree import ElementTree
 
 import ezdxf
 import numpy as np
 import pytest
 import shapely
-from mesh_helpers import areas, loops_of
+from mesh_helpers import areas, generator, loops_of
 from pattern_shapes import gores, skirt
 
 from voile.cli import main
@@ -211,8 +212,8 @@ allowance = 0.03
 """
 
 
-def scene(folder, wishes: str) -> str:
-    points, triangles = skirt()
+def scene(folder, wishes: str, size: float = 0.05) -> str:
+    points, triangles = generator("skirt").skirt(size=size)[:2]
     points[:, 1] += 1.0 - points[:, 1].max()
     write_obj(folder / "skirt.obj", points, triangles, groups=gores(points, triangles))
     path = folder / "scene.toml"
@@ -283,3 +284,27 @@ def test_a_mesh_that_does_not_mirror_itself_is_made_to(tmp_path, capsys):
     ):
         assert main(["mesh", "mirror", str(tmp_path / "skew.obj"), *options]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_symmetric_panels_are_those_that_are_proved(tmp_path, mpirun):
+    """On one rank and on two: the panels of rest.obj are the pattern, which symmetry no longer moves."""
+    wishes = '[pattern]\nsymmetric = "x"\n'
+    path = scene(tmp_path, wishes, size=0.1)
+    text = (
+        (tmp_path / "scene.toml")
+        .read_text()
+        .replace('method = "direct"', 'developable = "panels"\niterations = 1')
+    )
+    (tmp_path / "scene.toml").write_text(text.replace("[shell]", "[shell]\nseam_bending = true"))
+    sags = []
+    for ranks in (1, 2):
+        out = tmp_path / f"out{ranks}"
+        if ranks == 1:
+            assert main(["run", path, "-o", str(out)]) == 0
+        else:
+            done = mpirun(2, [sys.executable, "-m", "voile.cli", "run", path, "-o", str(out)], 100)
+            assert done.returncode == 0, done.stderr
+        told = json.loads((out / "summary.json").read_text())["inverse"]
+        assert told["pattern"]["symmetric"]["moved"] < 1e-12 and len(told["pattern"]["panels"]) == 4
+        sags.append(told["sag"])
+    assert sags[0] == pytest.approx(sags[1], rel=1e-5) and sags[0] < 0.05

@@ -213,16 +213,19 @@ def solve_panels(
     on_iteration: AdjointProgress | None = None,
     layers: Layers | None = None,
     on_found: Callable[[Reals], None] | None = None,
+    even: Callable[[Reals], Reals] | None = None,
 ) -> tuple[InverseResult, Reals]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
     variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
-    does those that the search starts from."""
+    does those that the search starts from. even: makes coordinates symmetric, on all ranks; the search starts from
+    such panels, and such are proved."""
     options = options or InverseOptions()
     began = time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     path = _direct(target, on_step)  # for the reactions at the target
     target.load(1.0)
-    panels = PanelRest(problem, problem.comm.bcast(start_of_panels(target, shell, path.rest, flat)))
+    base = problem.comm.bcast(start_of_panels(target, shell, path.rest, flat))
+    panels = PanelRest(problem, even(base) if even else base)
     if on_found:
         on_found(panels.base)  # the search may be long, or find nothing
     adjoint = minimise(
@@ -236,7 +239,11 @@ def solve_panels(
     )
     target.release()
     simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
-    z, searched = adjoint.rest, time.perf_counter()
+    z = adjoint.rest
+    if even:
+        panels.take(z, even(panels.coordinates(z)))
+        simulation = simulate(target, z, options.tolerance, panels=panels)
+    searched = time.perf_counter()
     if on_found:
         on_found(panels.coordinates(z))
     proving = time.perf_counter()

@@ -8,6 +8,7 @@ import numpy as np
 
 from voile.mesh.topology import boundary_loops, build_topology
 
+FLAT = 1e-4  # altitude over longest edge: flatter triangles close no hole
 LONGEST = 300  # edges of a loop: a minute of it
 
 
@@ -32,8 +33,11 @@ def fill(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.ndar
             if taken[i, k] and width < n - 1:
                 continue
             between = np.arange(i + 1, k)
-            area = np.linalg.norm(np.cross(x[between] - x[i], x[k] - x[i]), axis=1)
-            total = cost[i, between] + cost[between, k] + np.where(area > 0, area, np.inf)
+            one, other, base = x[between] - x[i], x[between] - x[k], x[k] - x[i]
+            area = np.linalg.norm(np.cross(one, base), axis=1)
+            longest = np.maximum(np.einsum("ij,ij->i", one, one), np.einsum("ij,ij->i", other, other))
+            flat = area <= FLAT * np.maximum(longest, base @ base)
+            total = cost[i, between] + cost[between, k] + np.where(flat, np.inf, area)
             best = int(total.argmin())
             cost[i, k], middle[i, k] = total[best], between[best]
     if not np.isfinite(cost[0, n - 1]):

@@ -220,6 +220,11 @@ class PanelRest:
         """(p, 2) the panels' coordinates (m), on every rank."""
         return self.base + self._everywhere(z)
 
+    def take(self, z: PETSc.Vec, coordinates: Reals) -> None:
+        """Makes z that of panels with coordinates (p, 2) m."""
+        if z.local_size:
+            z.array = (coordinates - self.base).ravel()
+
     def _everywhere(self, z: PETSc.Vec) -> Reals:
         return self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
 

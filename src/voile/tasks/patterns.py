@@ -1,23 +1,28 @@
 """Sewing patterns of inverse results: cut, flatten, write. Rank 0 only."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voile.arrays import Ints, Reals
-from voile.errors import InputError, NotConverged
+from voile.errors import InputError, NotConverged, on_root
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.overlaps import split_overlaps
 from voile.inverse.panels import Groups, Panels, split
 from voile.inverse.pattern import make_pattern, pattern_summary, sewing
 from voile.inverse.rules import NO_RULES, PanelRule, Rules, SeamRule, check_rules
 from voile.inverse.stitched import add_stitches
-from voile.inverse.symmetric import mirror_map
+from voile.inverse.symmetric import mirror_map, symmetrised
 from voile.mesh import Pattern, Surface, build_topology
 from voile.problem.shell import Shell
 from voile.scene.pattern import AXES
 from voile.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 
 def lay_flat(model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPanels:
@@ -99,6 +104,19 @@ def check_wishes(model, shell: Shell | None, scene: Scene) -> None:
     check_rules(panels, rules.panels, rules.seams)
     if rules.symmetric is not None:
         mirror_map(panels, rules.symmetric)
+
+
+def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[[Reals], Reals] | None:
+    """What makes coordinates (p, 2) of the panels (rank 0) symmetric, on all ranks; None where not asked for."""
+    axis = wishes(scene).symmetric
+    if axis is None:
+        return None
+    mirror = on_root(comm, lambda: flat and mirror_map(flat.panels, axis))
+
+    def even(x: Reals) -> Reals:
+        return comm.bcast(symmetrised(flat.panels, x, mirror)[0] if flat else None)
+
+    return even
 
 
 def wishes(scene: Scene) -> Rules:

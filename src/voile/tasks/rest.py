@@ -19,6 +19,7 @@ from voile.problem.supports import without_flaps
 from voile.tasks.patterns import (
     cut_apart,
     draw,
+    evenly,
     first_copies,
     lay_flat,
     moved,
@@ -94,6 +95,7 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
         job.progress.optimisation,
         job.layers(cut),
         write,
+        evenly(flat, job.scene, comm),
     )
     return result, flat, figures
 
