@@ -1,7 +1,7 @@
 """Campaigns against the program: damaged results, meshes and scenes, and kills, each with a fixed seed.
 
 A case is a command in a process of its own, forked from one that has imported everything. It may end with 0, 2 or 3; on
-standard error it may say one line, which begins with "voile: "; within SECONDS, and within MEMORY.
+standard error it may say one line, which begins with "voile: "; within SECONDS of the processor, and within MEMORY.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-SECONDS, MEMORY = 60, 6 << 30  # of a case; bytes of address space
+SECONDS, MEMORY = 60, 6 << 30  # of the processor, for a case; bytes of address space
+IDLE = 10 * SECONDS  # s on the clock, where it waits for nothing or the machine is busy
 Case = tuple[str, list[str]]  # what was done, and the command
 
 
@@ -42,7 +43,9 @@ def judged(name: str, command: list[str]) -> Fault | None:
         text = said.read()
     lines = text.strip().splitlines()
     if code is None:
-        why = f"no end within {SECONDS} s"
+        why = f"no end within {IDLE} s"
+    elif code == -signal.SIGXCPU:
+        why = f"no end within {SECONDS} s of the processor"
     elif code < 0:
         why = f"killed by {signal.Signals(-code).name}"
     elif code not in (0, 2, 3):
@@ -65,6 +68,8 @@ def _run(command: list[str], said: int) -> None:
         os.dup2(null, 1)
         os.dup2(said, 2)
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        spent = int(time.process_time())
+        resource.setrlimit(resource.RLIMIT_CPU, (spent + SECONDS, spent + SECONDS + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         from voile.cli import main
 
@@ -82,7 +87,7 @@ def _run(command: list[str], said: int) -> None:
 
 def _waited(child: int) -> int | None:
     """The exit code, minus the signal, or None where it had to be killed."""
-    end = time.monotonic() + SECONDS
+    end = time.monotonic() + IDLE
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:

@@ -37,7 +37,7 @@ class Curve:
 
     def limits(self):
         """Load factors and displacements along the load."""
-        found = [(c.place.factor, c.displacement) for c in self.found if c.kind == "limit point"]
+        found = [(c.factor, c.displacement) for c in self.found if c.kind == "limit point"]
         return np.array(found).reshape(-1, 2)
 
 
@@ -107,7 +107,7 @@ def test_dome_under_pressure():
         shell = roofs.clamped_dome(size, 1.5)
         path, critical = solve_arc(Problem(shell, MPI.COMM_SELF), StaticsOptions(), 1.0, 0)
         require(path)
-        found.append([1.5 * c.place.factor for c in critical])
+        found.append([1.5 * c.factor for c in critical])
         assert [c.kind for c in critical] == ["limit point", "limit point"]
     error = np.abs(np.array(found) / [top, bottom] - 1.0)
     assert error[-1].max() < 0.004
@@ -134,7 +134,7 @@ def test_a_column_bifurcates_onto_its_elastica(n):
     shell = roofs.pinned_strip(n, 1.2)
     straight = Curve(shell, [])
     (point,) = straight.found
-    assert point.kind == "bifurcation" and abs(1.2 * point.place.factor - 1.0) < 2.2 / n**2
+    assert point.kind == "bifurcation" and abs(1.2 * point.factor - 1.0) < 2.2 / n**2
     assert straight.path.steps[-1].negative == 1 and straight.path.stable is False
     middle = int(np.flatnonzero(np.abs(shell.points[:, 0] - 0.5) < 1e-9)[0])
     bent = Curve(shell, [middle], load_steps=200, branch=1)
@@ -154,7 +154,7 @@ def test_a_strip_on_edge_buckles_sideways():
     problem = Problem(shell, MPI.COMM_SELF)
     path, (point,) = solve_arc(problem, StaticsOptions(), 1.0, 1)
     assert require(path).stable and point.kind == "bifurcation"
-    assert abs(load * point.place.factor / linear - 1.0) < 0.003
+    assert abs(load * point.factor / linear - 1.0) < 0.003
     leaning = np.abs(problem.local(path.state)[0])
     other = Problem(shell, MPI.COMM_SELF)
     bent = np.abs(other.local(require(solve_statics(other)).state)[0])

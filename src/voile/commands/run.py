@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from voile.commands._scene import load, scene_arguments
-from voile.errors import InputError, NotConverged, on_root
+from voile.errors import NotConverged, on_root
 
 TEXT = "solve a scene; PETSc options follow --"
 
@@ -20,7 +20,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--force", action="store_true", help="replace results of another scene in the result folder"
     )
     parser.add_argument(
-        "--resume", action="store_true", help="go on from the last complete step in the result folder"
+        "--resume",
+        action="store_true",
+        help="go on from the last complete step in the result folder, anew where it has none",
     )
 
 
@@ -34,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
 
     from voile import api, signals
     from voile.results import held_output
-    from voile.results.restart import newest_step
+    from voile.results.restart import begun, newest_step
     from voile.tasks import Progress
 
     comm = MPI.COMM_WORLD
@@ -42,13 +44,13 @@ def run(args: argparse.Namespace) -> None:
         scene, model = on_root(comm, lambda: load(args)) or (None, None)
         scene = comm.bcast(scene)
         folder = args.output or Path(f"{args.scene.stem}-result")
-        if args.resume:
-            if scene.scene.task != "dynamics":
-                raise InputError(f"{args.scene}: --resume: allowed with task = dynamics")
+        progress, resumes = Progress(comm), args.resume and begun(folder, comm)
+        if resumes:
             newest_step(folder, comm)
-        progress = Progress(comm)
+        elif args.resume:
+            progress.line(f"note: {folder} has no step to go on from: the run starts anew")
         with held_output(folder, comm, args.scene, scene.text, args.force):
-            failure = api.solve(scene, model, folder, progress, began, resumes=args.resume, told=told)
+            failure = api.solve(scene, model, folder, progress, began, resumes=resumes, told=told)
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

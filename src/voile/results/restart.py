@@ -1,4 +1,4 @@
-"""The folder `restart`: all that a run in time goes on from, one file per rank.
+"""The folder `restart`: all that a run goes on from, one file per rank.
 
 `last` names the newest complete set: it is replaced when all ranks have written theirs, so that a kill at any time
 leaves a set that fits together.
@@ -7,6 +7,9 @@ leaves a set that fits together.
 from __future__ import annotations
 
 import io
+import time
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,39 +18,95 @@ import numpy as np
 
 from voile.arrays import Array
 from voile.errors import InputError, on_all, on_root
-from voile.results.folder import fresh, replace, told
+from voile.results.folder import RECORD, fresh, replace, told
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-FORMAT = 2  # of the arrays
+FORMAT = 3  # of the arrays
+OF = "of"  # the array that says which run a set is of
+DAMAGED = OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error
 
 
-def save_restart(folder: Path, comm: MPI.Comm, step: int, arrays: Mapping[str, Array]) -> None:
-    """Replaces what is in the run's folder by each rank's arrays after a number of steps. Collective."""
-    inside = folder / "restart"
-    on_root(comm, lambda: inside.mkdir(exist_ok=True))
+class Restarts:
+    """What a run in a folder keeps to go on from. of: names the run's scene and meshes; lasting: all ranks see the
+    folder, and a later run may go on from it."""
 
-    def save() -> None:
-        packed = io.BytesIO()  # zip files do not survive a full disk
-        np.savez(packed, **arrays)
-        with told(inside), fresh(inside / f"{step}-{comm.rank}.npz") as file:
-            file.write(packed.getbuffer())
+    PAUSE, SHARE = 0.5, 20.0  # s between two sets at least, and times what the last one took
 
-    def commit() -> None:
-        with told(inside):
-            replace(inside / "last", f"{step} {comm.size} {FORMAT}\n".encode())
-        for old in inside.glob("*.npz"):
-            if not old.name.startswith(f"{step}-"):
-                old.unlink()
+    def __init__(self, folder: Path, comm: MPI.Comm, of: str, lasting: bool = True):
+        self.folder, self.comm, self.lasting = folder, comm, lasting
+        self.of = np.frombuffer(of.encode(), dtype=np.uint8)
+        self.step, self._due = -1, time.perf_counter() + self.PAUSE
 
-    on_all(comm, save)
-    on_root(comm, commit)
+    def due(self) -> bool:
+        """Whether it is time for another set. Collective."""
+        return self.lasting and self.comm.bcast(time.perf_counter() >= self._due)
+
+    def save(self, step: int, arrays: Mapping[str, Array], began: float | None = None) -> None:
+        """Replaces the set that is there by each rank's arrays after a number of steps, which grows from set to set.
+        began: when what belongs to it was begun (time.perf_counter). Collective."""
+        began = time.perf_counter() if began is None else began
+        inside = self.folder / "restart"
+
+        def write() -> None:
+            packed = io.BytesIO()  # zip files do not survive a full disk
+            np.savez(packed, allow_pickle=False, **{OF: self.of}, **arrays)
+            with told(inside), fresh(inside / f"{step}-{self.comm.rank}.npz") as file:
+                file.write(packed.getbuffer())
+
+        def commit() -> None:
+            with told(inside):
+                replace(inside / "last", f"{step} {self.comm.size} {FORMAT}\n".encode())
+            for old in inside.glob("*.npz"):
+                if not old.name.startswith(f"{step}-"):
+                    old.unlink()
+
+        if self.lasting and step > self.step:  # a set is never written over: a kill would leave none
+            on_root(self.comm, lambda: inside.mkdir(exist_ok=True))
+            on_all(self.comm, write)
+            on_root(self.comm, commit)
+            self.step = step
+        self._due = time.perf_counter() + max(self.PAUSE, self.SHARE * (time.perf_counter() - began))
+
+    def clear(self) -> None:
+        """Forgets what an earlier run in the folder would go on from. Collective."""
+        on_root(self.comm, lambda: (self.folder / "restart" / "last").unlink(missing_ok=True))
+
+    def load(self) -> dict[str, Array]:
+        """This rank's arrays of the newest complete set. Raises InputError where there is none of this run for as many
+        ranks. Collective."""
+        step, found = newest_step(self.folder, self.comm), dict[str, Array]()
+        path = self.folder / "restart" / f"{step}-{self.comm.rank}.npz"
+
+        def read() -> None:
+            try:
+                with np.load(path, allow_pickle=False) as file:
+                    found.update(file)
+                of = found.pop(OF)
+            except DAMAGED:
+                raise InputError(f"{path}: damaged; a run cannot go on from it (--resume)") from None
+            if not np.array_equal(of, self.of):
+                raise InputError(
+                    f"{self.folder}: of another scene, other meshes or other --set; allowed with --resume: those of "
+                    "the run so far"
+                )
+
+        on_all(self.comm, read)
+        self.step = step
+        return found
 
 
-def clear_restart(folder: Path, comm: MPI.Comm) -> None:
-    """Forgets what an earlier run in the folder would go on from. Collective."""
-    on_root(comm, lambda: (folder / "restart" / "last").unlink(missing_ok=True))
+def begun(folder: Path, comm: MPI.Comm) -> bool:
+    """Whether a run has left something in the folder to go on from. Raises InputError where none has been there.
+    Collective."""
+
+    def look() -> bool:
+        if not (folder / RECORD).exists():
+            raise InputError(f"{folder}: nothing there that a run could go on from (--resume)")
+        return (folder / "restart" / "last").exists()
+
+    return comm.bcast(on_root(comm, look))
 
 
 def newest_step(folder: Path, comm: MPI.Comm) -> int:
@@ -69,10 +128,3 @@ def newest_step(folder: Path, comm: MPI.Comm) -> int:
         return step
 
     return comm.bcast(on_root(comm, read))
-
-
-def load_restart(folder: Path, comm: MPI.Comm) -> dict[str, Array]:
-    """This rank's arrays of the newest complete set. Raises InputError where there is none for as many ranks."""
-    step = newest_step(folder, comm)
-    with np.load(folder / "restart" / f"{step}-{comm.rank}.npz", allow_pickle=False) as file:
-        return dict(file)

@@ -31,6 +31,7 @@ import numpy as np
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError, NotWritten, on_all, on_root
+from voile.results.checks import intact
 from voile.results.fields import (
     CELL_FIELDS,
     EDGE_ANGLES,
@@ -68,7 +69,7 @@ class ResultWriter:
     mesh is needed on rank 0 only. With more than one rank the file is written in parallel where h5py was
     built with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the
     latter. A result already at `path` stays until the first step is complete; it and its summary are then
-    kept as `*.previous.*`. goes_on: the value after which a result at `path` of the same scene goes on;
+    kept as `*.previous.*`. goes_on: steps after which a result at `path` of the same scene goes on, 0: anew;
     numbered: times for VTK are the steps' numbers. A writer is a context manager; after a crash the file
     holds the last complete step.
     """
@@ -82,7 +83,7 @@ class ResultWriter:
         scene_text: str = "",
         versions: Mapping[str, str] | None = None,
         gather: bool = False,
-        goes_on: float | None = None,
+        goes_on: int = 0,
         numbered: bool = False,
     ):
         self.path, self.comm, self.steps, self.numbered = Path(path), comm, 0, numbered
@@ -102,7 +103,7 @@ class ResultWriter:
         self._capacity = CAPACITY
         self._file: Any = None
         self._opened = self.path
-        if goes_on is not None:
+        if goes_on:
             self.steps, self._capacity = comm.bcast(on_root(comm, lambda: self._cut_after(goes_on)))
 
     def __enter__(self) -> ResultWriter:
@@ -198,22 +199,24 @@ class ResultWriter:
         elif self.steps == self._capacity:
             self._rebuild(2 * self._capacity)
 
-    def _cut_after(self, value: float) -> tuple[int, int]:
-        """Drops the steps of the file that is there beyond a value; how many are left, and have room. Raises InputError
-        where it is of another scene."""
+    def _cut_after(self, steps: int) -> tuple[int, int]:
+        """Drops the steps of the file that is there beyond so many; these, and for how many there is room. Raises
+        InputError where it is of another scene, or has fewer."""
         if not self._h5py.is_hdf5(self.path):
             raise InputError(f"{self.path}: no result that a run could go on from (--resume)")
-        with self._h5py.File(self.path, "r+", locking=False) as file:
+        with intact(self.path), self._h5py.File(self.path, "r+", locking=False) as file:
             if file["voile/scene"][()].tobytes().decode("utf-8") != self._scene_text:
                 raise InputError(
                     f"{self.path}: of another scene, or other --set; allowed with --resume: those of the run so far"
                 )
-            room = len(file[OWN_VALUES])
-            kept = int((file[OWN_VALUES][: file[STEPS].attrs["NSteps"]] <= value).sum())
-            file[STEPS].attrs.modify("NSteps", np.int64(kept))
-            file[VALUES].resize((kept,))
-            file[VALUES][:] = file[OWN_VALUES][:kept]
-        return kept, room
+            if file[STEPS].attrs["NSteps"] < steps:
+                raise InputError(
+                    f"{self.path}: fewer steps than the {steps} that the run goes on from (--resume)"
+                )
+            file[STEPS].attrs.modify("NSteps", np.int64(steps))
+            file[VALUES].resize((steps,))
+            file[VALUES][:] = np.arange(1.0, steps + 1) if self.numbered else file[OWN_VALUES][:steps]
+            return steps, len(file[OWN_VALUES])
 
     @property
     def _part(self) -> Path:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from petsc4py import PETSc
 
+from voile.arrays import Array
 from voile.errors import NotConverged
 from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
@@ -100,6 +101,8 @@ class Path:
 
 
 Progress = Callable[[LoadStep, PETSc.Vec], None]
+Arrays = dict[str, Array]
+Pause = Callable[[Callable[[], Arrays]], None]  # told where a path may go on from this rank's arrays
 
 
 def require(path: Path) -> Path:

@@ -4,7 +4,7 @@ from petsc4py import PETSc
 
 from voile.problem.imperfection import perturb
 from voile.problem.problem import Problem
-from voile.solver.path import Path, Progress, StaticsOptions
+from voile.solver.path import Arrays, Path, Pause, Progress, StaticsOptions
 from voile.solver.stepping.load_path import LoadPath
 
 
@@ -14,13 +14,15 @@ def solve_statics(
     *,
     start: PETSc.Vec | None = None,
     on_step: Progress | None = None,
+    on_pause: Pause | None = None,
+    found: Arrays | None = None,
 ) -> Path:
-    """Follows the load from 0 to 1. Calls on_step after each converged step. Does not raise for lack of convergence:
-    see Path and `require`."""
+    """Follows the load from 0 to 1. Calls on_step after each converged step, then on_pause; found: what that was given,
+    from which the path goes on. Does not raise for lack of convergence: see Path and `require`."""
     options = options or StaticsOptions()
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
-    if start is None and not problem.contact:  # friction would remember it
+    if start is None and not found and not problem.contact:  # friction would remember it
         perturb(problem, y, options.perturbation * problem.thickness())
-    LoadPath(problem, y, options, path).follow(on_step)
+    LoadPath(problem, y, options, path).follow(on_step, on_pause, found)
     return path

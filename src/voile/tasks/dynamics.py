@@ -31,7 +31,7 @@ def run(job: Run) -> str:
     shell, problem = job.prepare()
     problem = problem.at(0.0)
     path = begun(job, problem)
-    with job.results(job.mesh(shell, problem.directors), path.time if job.resumes else None) as writer:
+    with job.results(job.mesh(shell, problem.directors)) as writer:
         steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)

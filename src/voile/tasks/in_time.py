@@ -10,7 +10,6 @@ from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
 from voile.results.history import HistoryWriter, read_history
-from voile.results.restart import clear_restart, load_restart, save_restart
 from voile.solver.stepping.restart import packed, unpacked
 from voile.solver.stepping.time_path import TimePath, TimeStep, start_path
 from voile.tasks.run import NO_CONTACT, Run, rows
@@ -34,15 +33,13 @@ def air(job: Run) -> Air | None:
 def begun(job: Run, problem: Problem) -> TimePath:
     """The path from the scene's start, or from where the run that it resumes was."""
     if job.resumes:
-        return unpacked(problem, load_restart(job.folder, job.comm))
+        return unpacked(problem, job.found)
     return start_path(problem, initial_velocity(job, problem.positions(problem.create_vector())))
 
 
 class TimeSteps:
     """Takes the steps of a path as they come: tells the progress, adds to the history, writes the start, every so many,
     and the last, and now and then all that the run could go on from."""
-
-    PAUSE, SHARE = 0.5, 20.0  # s between two restart files at least, and times what the last one took
 
     def __init__(self, job: Run, problem: Problem, writer: ResultWriter, path: TimePath, duration: float):
         self.job, self.problem, self.writer, self.duration = job, problem, writer, duration
@@ -54,9 +51,7 @@ class TimeSteps:
         if job.resumes and path.count and job.comm.rank == 0:  # before the first step there is no history
             kept = {name: rows[: path.count] for name, rows in read_history(job.folder).items()}
         self.history = HistoryWriter(job.folder / "history.h5", job.comm, kept)
-        self.due = time.perf_counter() + self.PAUSE
         if not job.resumes:
-            clear_restart(job.folder, job.comm)
             self.write(0.0, 0.0, path)
             self.save(path)
 
@@ -67,7 +62,7 @@ class TimeSteps:
             self.short, self.worst = self.short + 1, max(self.worst, step.residual / step.tolerance)
         if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
             self.write(step.time, step.residual, path)
-            if self.job.comm.bcast(time.perf_counter() > self.due):
+            if self.job.restarts.due():
                 self.save(path)
 
     def finish(self, path: TimePath) -> None:
@@ -89,10 +84,8 @@ class TimeSteps:
         """History and restart files, in this order: no restart without its history."""
         began = time.perf_counter()
         self.history.write()
-        if self.job.lasting:
-            save_restart(self.job.folder, self.job.comm, path.count, packed(self.problem, path))
-        took = time.perf_counter() - began
-        self.due, self.job.writing = began + max(self.PAUSE, self.SHARE * took), self.job.writing + took
+        self.job.keep(path.count, packed(self.problem, path), self.writer.steps, began)
+        self.job.writing += time.perf_counter() - began
 
 
 def row(problem: Problem, step: TimeStep, path: TimePath) -> dict:

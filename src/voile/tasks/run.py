@@ -4,13 +4,14 @@ A task is a module beside this one, named as in scenes (scene.task), with `run(j
 gives the reason why it did not converge, or nothing.
 """
 
+import hashlib
 import math
 import platform
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +34,24 @@ from voile.problem.stress_fields import shell_fields
 from voile.problem.support_forces import support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.results.folder import RESULT, SUMMARY, set_aside
+from voile.results.restart import Restarts
 from voile.scene import Scene
-from voile.solver.path import LoadStep
+from voile.solver.path import Arrays, LoadStep
 from voile.solver.path import Path as LoadPath
 from voile.solver.sewing import sew
 from voile.solver.stepping.time_path import TimePath
 from voile.tasks.progress import Progress
 from voile.wiring import Model, static_mesh
 
+STORED = "stored"  # the array that says how many steps the result file had
 NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "friction_error": 0.0}
 
 
 @dataclass
 class Run:
     """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start;
-    resumes: goes on from the results there; lasting: all ranks see the folder, and a later run may go on from it."""
+    resumes: goes on from the results there; lasting: all ranks see the folder, and a later run may go on from it;
+    restarts: what it keeps for that; found: what it goes on from itself, nothing at a start."""
 
     scene: Scene
     model: Model | None
@@ -59,6 +63,28 @@ class Run:
     resumes: bool = False
     lasting: bool = True
     stored: bool = False  # whether the folder's result is this run's
+    found: dict[str, Array] = field(default_factory=dict)
+    restarts: Restarts = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.restarts = Restarts(self.folder, self.comm, self._named(), self.lasting)
+        if self.resumes:
+            self.found = self.restarts.load()
+            self.stored = bool(self.found[STORED] > 0)
+        elif self.lasting:
+            self.restarts.clear()
+
+    def _named(self) -> str:
+        """What tells the run from others whose results may be in its folder."""
+        digest = hashlib.sha256(self.scene.text.encode())
+        if self.model:
+            for array in (self.model.shell.points, self.model.shell.rest_points, self.model.shell.triangles):
+                digest.update(numpy.ascontiguousarray(array).data)
+        return self.comm.bcast(digest.hexdigest())
+
+    def keep(self, step: int, arrays: dict[str, Array], stored: int, began: float | None = None) -> None:
+        """Keeps what a later run goes on from, after a step and so many stored ones. Collective."""
+        self.restarts.save(step, {STORED: numpy.array(stored), **arrays}, began)
 
     # ---- from the scene to the problem ----
 
@@ -111,17 +137,15 @@ class Run:
         return replace(mesh, point_data={**mesh.point_data, **point_data})
 
     @contextmanager
-    def results(
-        self, mesh: StaticMesh | None, goes_on: float | None = None, numbered: bool = False
-    ) -> Iterator[ResultWriter]:
-        """The result file; goes_on: after which of its values; numbered: these may fall."""
+    def results(self, mesh: StaticMesh | None, numbered: bool = False) -> Iterator[ResultWriter]:
+        """The result file; numbered: its values may fall."""
         with ResultWriter(
             self.folder / "result.vtkhdf",
             self.comm,
             mesh=mesh,
             scene_text=self.scene.text,
             versions=versions(),
-            goes_on=goes_on,
+            goes_on=int(self.found.get(STORED, 0)),
             gather=not self.lasting,
             numbered=numbered,
         ) as writer:
@@ -186,7 +210,7 @@ class Run:
 
     def _tell(self, summary: dict[str, Any]) -> None:
         """Writes summary.json; an earlier run's result must not be beside it."""
-        if not (self.stored or self.resumes):
+        if not self.stored:
             set_aside(self.folder / RESULT)
         write_summary(self.folder / SUMMARY, summary)
 
@@ -219,13 +243,23 @@ class Steps:
     minus that."""
 
     def __init__(self, run: Run, problem: Problem, writer: ResultWriter, end: float = 1.0):
-        self.run, self.problem, self.writer, self.end, self.reached = run, problem, writer, end, 0
+        self.run, self.problem, self.writer, self.end = run, problem, writer, end
+        self.reached, self.over = int(run.found.get("reached", 0)), False
 
     def __call__(self, step: LoadStep, y: PETSc.Vec) -> None:
         self.run.progress.step(step)
-        self.reached += 1
-        if abs(step.factor) >= self.end or self.reached % self.run.scene.output.every == 0:
+        self.reached, self.over = self.reached + 1, abs(step.factor) >= self.end
+        if self.over or self.reached % self.run.scene.output.every == 0:
             self._write_step(step, y)
+
+    def pause(self, packed: Callable[[], Arrays]) -> None:
+        """Keeps now and then, and at the end, what the path may go on from."""
+        if self.run.restarts.due() or self.over:
+            began = time.perf_counter()
+            self.run.keep(
+                self.reached, {**packed(), "reached": numpy.array(self.reached)}, self.writer.steps, began
+            )
+            self.run.writing += time.perf_counter() - began
 
     def finish(self, path: LoadPath) -> None:
         """Writes the last good state of a path that did not reach its end."""

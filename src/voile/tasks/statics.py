@@ -21,7 +21,7 @@ def run(job: Run) -> str:
         return _along_the_arc(job, shell, problem, options)
     with job.results(job.mesh(shell, problem.directors)) as writer:
         steps = Steps(job, problem, writer)
-        path = solve_statics(problem, options, on_step=steps)
+        path = solve_statics(problem, options, on_step=steps, on_pause=steps.pause, found=job.found)
         steps.finish(path)
     _tell(job, path)
     job.summarise(problem, path, **job.forces(problem, path))
@@ -37,11 +37,13 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
         )
     with job.results(job.mesh(shell, problem.directors), numbered=True) as writer:
         steps = Steps(job, problem, writer, s.max_load_factor)
-        path, critical = solve_arc(problem, options, s.max_load_factor, s.branch, steps)
+        path, critical = solve_arc(
+            problem, options, s.max_load_factor, s.branch, steps, steps.pause, job.found
+        )
         steps.finish(path)
     told: dict[str, list] = {"limit point": [], "bifurcation": []}
     for point in critical:
-        told[point.kind].append({"load_factor": point.place.factor, "displacement": point.displacement})
+        told[point.kind].append({"load_factor": point.factor, "displacement": point.displacement})
     bifurcations = told["bifurcation"]
     if path.converged and s.branch > len(bifurcations):
         many = f"{len(bifurcations)} bifurcation" + "s" * (len(bifurcations) != 1)

@@ -4,7 +4,7 @@ A limit point is where the load factor's slope changes its sign; a bifurcation w
 otherwise. Either lies between two places of the path, and is closed in by equilibria between them.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from voile.problem.contact import contact_report
 from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.solver.methods.method import Workspace
-from voile.solver.path import STEPS, LoadStep, Path, Progress, StaticsOptions
+from voile.solver.path import STEPS, Arrays, LoadStep, Path, Pause, Progress, StaticsOptions
 from voile.solver.stepping.arc import Arc, Place
+from voile.solver.stepping.restart import packed_path, packed_state, unpacked_path, unpacked_state
 
 ALMOST = 1e-6  # relative: a step that ends so near to the end of the path ends there
 
@@ -42,18 +43,24 @@ class Critical:
     """A limit point or a bifurcation: its kind, load factor, displacement along the load (m)."""
 
     kind: str
-    place: Place
+    factor: float
     displacement: float
 
 
 def solve_arc(
-    problem: Problem, options: StaticsOptions, most: float, branch: int, on_step: Progress | None = None
+    problem: Problem,
+    options: StaticsOptions,
+    most: float,
+    branch: int,
+    on_step: Progress | None = None,
+    on_pause: Pause | None = None,
+    found: Arrays | None = None,
 ) -> tuple[Path, list[Critical]]:
     """Follows the path of a problem on which nothing moves or rubs from the unloaded shell until the load factor is
-    `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. Does not raise for lack
-    of convergence; see Path."""
+    `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. on_step, on_pause and
+    found as of `solve_statics`. Does not raise for lack of convergence; see Path."""
     run = ArcPath(problem, options, most, branch)
-    run.follow(on_step)
+    run.follow(on_step, on_pause, found)
     return run.path, run.found
 
 
@@ -69,10 +76,15 @@ class ArcPath:
         self.path = Path(state=start, counts=work.counts)
         self.cap = most / (options.load_steps or STEPS)  # change of the load factor in a step
         self.on_step: Progress | None = None
+        self.on_pause: Pause | None = None
+        self.first = self.length = 0.0  # of the first step and the next (sizes)
 
-    def follow(self, on_step: Progress | None) -> None:
-        """Calls on_step after each equilibrium."""
-        self.on_step, here = on_step, self.arc.start()
+    def follow(
+        self, on_step: Progress | None, on_pause: Pause | None = None, found: Arrays | None = None
+    ) -> None:
+        """Calls on_step after each equilibrium, then on_pause; found: what that was given, to go on from."""
+        self.on_step, self.on_pause = on_step, on_pause
+        here = self._found(found) if found else self._begin()
         if here is None:
             self.path.reason = (
                 "next to its start shape the unloaded shell has no equilibrium that a path leaves"
@@ -82,10 +94,53 @@ class ArcPath:
         self._go(here)
         self.arc.back(self.last).copy(self.path.state)
 
+    def _begin(self) -> Place | None:
+        """Where the path begins."""
+        here = self.arc.start()
+        if here:
+            self.first = self.length = min(self.cap / here.slope, self.options.longest)
+        return here
+
+    def _pause(self, here: Place, length: float) -> None:
+        """The path may go on from a place with a step of some length (sizes)."""
+        self.length = length
+        if self.on_pause:
+            self.on_pause(lambda: self._packed(here))
+
+    def _packed(self, here: Place) -> Arrays:
+        place = {"factor": here.factor, "iterations": here.iterations, "residual": here.residual}
+        said = packed_path(
+            self.path,
+            place=place | {"reason": here.reason, "slope": here.slope, "negative": here.negative},
+            lengths=[self.first, self.length, self.arc.psi],
+            critical=[asdict(point) for point in self.found],
+        )
+        return said | packed_state(here.state) | {"direction": here.direction.array_r.copy()}
+
+    def _found(self, found: Arrays) -> Place | None:
+        """Where `_pause` was called."""
+        problem = self.problem
+        said, direction = unpacked_path(found, self.path), problem.create_vector()
+        direction.array[:] = found["direction"]
+        self.first, self.length, self.arc.psi = said["lengths"]
+        self.found += [Critical(**point) for point in said["critical"]]
+        state = unpacked_state(problem, found, said["place"]["factor"])
+        here = Place(state, direction=direction, **said["place"])
+        return here if self.arc.aim(here, direction, here.slope) else None
+
+    def _ended(self, there: Place) -> bool:
+        """Whether a place is the path's end."""
+        if abs(there.factor) < self.most:
+            return False
+        self.path.converged, self.path.reason = True, there.reason
+        self.path.stable = None if there.negative is None else there.negative == 0
+        return True
+
     def _go(self, here: Place) -> None:
         """From place to place until the end."""
-        path, options = self.path, self.options
-        first = length = min(self.cap / here.slope, options.longest)
+        path, options, first, length = self.path, self.options, self.first, self.length
+        if self._ended(here):
+            return
         while path.attempts < self.asked.max_steps:
             path.attempts += 1
             there = self._next(here, length, length < options.sharp * first)
@@ -99,16 +154,17 @@ class ArcPath:
             if left:
                 here, length = left
                 self._keep(here, "branch")
+                self._pause(here, length)
                 continue
             self._keep(there, "arc-length")
-            if abs(there.factor) >= self.most:
-                path.converged, path.reason = True, there.reason
-                path.stable = None if there.negative is None else there.negative == 0
+            if self._ended(there):
+                self._pause(there, length)
                 return
             easier = min(options.wanted / there.iterations, (0.5 / max(self._bend(here, there), 1e-3)) ** 0.5)
             length *= min(max(easier, 0.25), 2.0)
             length = min(length, options.longest, self.cap / max(abs(there.slope), 1e-300))
             here = there
+            self._pause(here, length)
         path.reason = f"max_steps = {self.asked.max_steps} steps ended at load factor {here.factor:g}"
 
     def _next(self, here: Place, length: float, sharp: bool) -> Place | None:
@@ -163,7 +219,7 @@ class ArcPath:
             events.append(("bifurcation", self._bifurcation(a, b)))
         events.sort(key=lambda event: self.arc.along(a, event[1]))
         for kind, place in events:
-            self.found.append(Critical(kind, place, self.arc.along_load(place)))
+            self.found.append(Critical(kind, place.factor, self.arc.along_load(place)))
             self._keep(place, kind)
             if kind == "bifurcation" and self.branch == sum(c.kind == kind for c in self.found):
                 return self._leave(place)

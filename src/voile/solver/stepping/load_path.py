@@ -18,9 +18,20 @@ from voile.problem.scales import slow_rate
 from voile.problem.state import State, difference
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.method import Method, Outcome
-from voile.solver.path import Jump, LoadStep, Path, Progress, StaticsOptions, load_steps, tolerance
+from voile.solver.path import (
+    Arrays,
+    Jump,
+    LoadStep,
+    Path,
+    Pause,
+    Progress,
+    StaticsOptions,
+    load_steps,
+    tolerance,
+)
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
+from voile.solver.stepping.restart import packed_path, packed_state, unpacked_path, unpacked_state
 
 
 @dataclass
@@ -64,11 +75,16 @@ class LoadPath:
         self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0, marks=marks)
         self.moving = problem.moves or bool(contact and contact.moves)
 
-    def follow(self, on_step: Progress | None) -> None:
-        """Calls on_step after each converged step."""
+    def follow(
+        self, on_step: Progress | None, on_pause: Pause | None = None, found: Arrays | None = None
+    ) -> None:
+        """Calls on_step after each converged step, then on_pause; found: what that was given, to go on from."""
         y, control, path = self.y, self.control, self.path
-        self.problem = self.problem.at(0.0)
-        self._begin()
+        if found:
+            self._go_on(found)
+        else:
+            self.problem = self.problem.at(0.0)
+            self._begin()
         while control.factor < 1.0:
             if path.attempts >= self.asked.max_steps:
                 path.reason = (
@@ -103,7 +119,22 @@ class LoadPath:
             if on_step:
                 on_step(done, y)
             self._begin()
+            if on_pause:
+                on_pause(self._packed)
         path.converged, path.reason = True, path.steps[-1].reason
+
+    def _packed(self) -> Arrays:
+        """What the path goes on from, between two steps."""
+        state = packed_state(self.problem.save(self.y))
+        return state | packed_path(self.path, control=vars(self.control) | {"options": None})
+
+    def _go_on(self, found: Arrays) -> None:
+        """Where `_packed` was called."""
+        control = unpacked_path(found, self.path)["control"]
+        vars(self.control).update({name: value for name, value in control.items() if name != "options"})
+        self.problem = self.problem.at(self.control.factor)
+        self.problem.restore(self.y, unpacked_state(self.problem, found, self.control.factor))
+        self.y.copy(self.path.state)
 
     def _watch(self, start: State) -> None:
         """Remembers a jump of a step without contact."""

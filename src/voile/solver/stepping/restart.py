@@ -1,14 +1,16 @@
-"""What a path in time goes on from, as arrays by name."""
+"""What paths in time and of the load go on from, as arrays by name."""
 
-from dataclasses import fields
+import json
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 
-from voile.arrays import Array
 from voile.contact.candidates import Candidates
 from voile.contact.history import PER_PARTNER, History
 from voile.problem.problem import Problem
+from voile.problem.state import State
+from voile.solver.path import Arrays, Jump, LoadStep, Path
 from voile.solver.stepping.books import TOTALS, Books
 from voile.solver.stepping.schemes import Before, Kinematics
 from voile.solver.stepping.time_path import TimePath
@@ -17,7 +19,7 @@ FIELDS = ("positions", "velocity", "acceleration", "filtered")
 COUNTS = ("factorisations", "solves", "iterations")
 
 
-def packed(problem: Problem, path: TimePath) -> dict[str, Array]:
+def packed(problem: Problem, path: TimePath) -> Arrays:
     """This rank's arrays of a path."""
     k, contact = path.kinematics, problem.contact
     y = path.state.copy()
@@ -31,17 +33,83 @@ def packed(problem: Problem, path: TimePath) -> dict[str, Array]:
     found["totals"] = np.array([path.books.totals[name] for name in TOTALS])
     found["counts"] = np.array([*(getattr(path.counts, name) for name in COUNTS), path.attempts])
     found["methods"] = np.frombuffer("\n".join(path.methods).encode(), dtype=np.uint8)
-    if contact:
-        history = contact.history
-        for name in PER_PARTNER:
-            found |= {f"contact.{name}.{k}": part for k, part in enumerate(getattr(history, name))}
-        found |= {"contact.reference": history.reference, "contact.layers": history.layers}
-        found["contact.time"] = np.array(history.time)
-        found |= {f"candidates.{f.name}": getattr(history.candidates, f.name) for f in fields(Candidates)}
-    return found
+    return found | (packed_history(contact.history) if contact else {})
 
 
-def unpacked(problem: Problem, found: dict[str, Array]) -> TimePath:
+def packed_history(history: History) -> Arrays:
+    """What contact remembers."""
+    found: Arrays = {}
+    for name in PER_PARTNER:
+        found |= {f"contact.{name}.{k}": part for k, part in enumerate(getattr(history, name))}
+    found |= {"contact.reference": history.reference, "contact.layers": history.layers}
+    found["contact.time"] = np.array(history.time)
+    return found | {
+        f"candidates.{f.name}": np.asarray(getattr(history.candidates, f.name)) for f in fields(Candidates)
+    }
+
+
+def unpacked_history(found: Arrays, partners: int) -> History:
+    """That of `packed_history`."""
+    parts: dict[str, Any] = {
+        name: [found[f"contact.{name}.{k}"] for k in range(partners)] for name in PER_PARTNER
+    }
+    near: dict[str, Any] = {f.name: found[f"candidates.{f.name}"] for f in fields(Candidates)}
+    near["faces"] = int(near["faces"])
+    return History(
+        **parts,
+        reference=found["contact.reference"],
+        time=float(found["contact.time"]),
+        candidates=Candidates(**near),
+        layers=found["contact.layers"],
+    )
+
+
+def packed_state(state: State) -> Arrays:
+    """A state's arrays; displacements count from the start shape."""
+    y = state.unknowns.array_r + state.origin.array_r
+    return {"y": y} | (packed_history(state.history) if state.history else {})
+
+
+def unpacked_state(problem: Problem, found: Arrays, time: float) -> State:
+    """That of `packed_state`, at a time."""
+    y, contact = problem.create_vector(), problem.contact
+    y.array[:] = found["y"]
+    history = unpacked_history(found, len(contact.partners)) if contact else None
+    return State(y, problem.create_vector(), history, time)
+
+
+def packed_path(path: Path, **more: Any) -> Arrays:
+    """A load path without its state; more: what else is said of it (plain values)."""
+    said = {
+        "steps": [asdict(step) for step in path.steps],
+        "jumps": [asdict(jump) for jump in path.jumps],
+        "counts": [getattr(path.counts, name) for name in COUNTS],
+        "attempts": path.attempts,
+        "stable": path.stable,
+        "smallest_eigenvalue": path.smallest_eigenvalue,
+        **more,
+    }
+    return {"said": np.frombuffer(json.dumps(said, default=_plain).encode(), dtype=np.uint8)}
+
+
+def unpacked_path(found: Arrays, path: Path) -> dict[str, Any]:
+    """Fills a path that has begun with that of `packed_path`; what was said of it."""
+    said = json.loads(found["said"].tobytes())
+    path.steps = [LoadStep(**step) for step in said["steps"]]
+    path.jumps = [Jump(**jump) for jump in said["jumps"]]
+    path.attempts, path.stable = said["attempts"], said["stable"]
+    path.smallest_eigenvalue = said["smallest_eigenvalue"]
+    for name, value in zip(COUNTS, said["counts"], strict=True):
+        setattr(path.counts, name, value)
+    return said
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's arrays and numbers as JSON has them."""
+    return value.tolist()
+
+
+def unpacked(problem: Problem, found: Arrays) -> TimePath:
     """The path of this rank's arrays; also what the problem's contact remembers."""
     y = problem.create_vector()
     y.array[:] = found["y"]
@@ -57,18 +125,6 @@ def unpacked(problem: Problem, found: dict[str, Array]) -> TimePath:
     *counts, path.attempts = found["counts"].tolist()
     for name, value in zip(COUNTS, counts, strict=True):
         setattr(path.counts, name, value)
-    contact = problem.contact
-    if contact:
-        parts: dict[str, Any] = {
-            name: [found[f"contact.{name}.{k}"] for k in range(len(contact.partners))] for name in PER_PARTNER
-        }
-        near: dict[str, Any] = {f.name: found[f"candidates.{f.name}"] for f in fields(Candidates)}
-        near["faces"] = int(near["faces"])
-        contact.history = History(
-            **parts,
-            reference=found["contact.reference"],
-            time=float(found["contact.time"]),
-            candidates=Candidates(**near),
-            layers=found["contact.layers"],
-        )
+    if problem.contact:
+        problem.contact.history = unpacked_history(found, len(problem.contact.partners))
     return path

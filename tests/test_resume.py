@@ -1,0 +1,117 @@
+"""`voile run --resume`: what is killed goes on from its last complete step, and ends as if nothing had been."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from campaign_sources import STRIP
+
+from voile.cli import main
+from voile.results import read_result, read_summary
+
+SHELL = """
+[shell]
+mesh = "strip.obj"
+young = 1e8
+thickness = 1e-3
+density = 300.0
+[[fix]]
+select = { box = [[-0.01, -1, -1], [0.01, 1, 1]] }
+clamp = true
+"""
+SPHERE = """
+[[obstacle]]
+shape = "sphere"
+center = [0.1, -0.05, 0.025]
+radius = 0.045
+friction = 0.3
+"""
+STATICS = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\n'
+ARC = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\ncontrol = "arc-length"\n'
+SCENES = {"load": STATICS + SHELL + SPHERE, "arc": ARC + SHELL}
+# What is kept after every step, not every half second.
+OFTEN = (
+    "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
+    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
+)
+
+
+@pytest.fixture
+def write(tmp_path):
+    """write(name): the file of a scene."""
+    (tmp_path / "strip.obj").write_text(STRIP)
+
+    def scene(name):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(SCENES[name])
+        return path
+
+    return scene
+
+
+def kept(folder):
+    """The number of the set that a run in a folder goes on from, -1 without one."""
+    try:
+        return int((folder / "restart" / "last").read_text().split()[0])
+    except (OSError, IndexError):
+        return -1
+
+
+def killed(scene, folder, step):
+    """Runs a scene until it has kept a step, then ends it by SIGKILL."""
+    with subprocess.Popen([sys.executable, "-c", OFTEN, "run", scene, "-o", folder], stdout=-3) as process:
+        while kept(folder) < step:
+            assert process.poll() is None
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+
+
+@pytest.mark.parametrize("name", ["load", "arc"])
+def test_a_killed_path_goes_on(write, tmp_path, name, capsys):
+    """The results are those of one run to the solver's tolerance."""
+    scene, whole, parts = write(name), tmp_path / "whole", tmp_path / "parts"
+    assert main(["run", str(scene), "-o", str(whole)]) == 0
+    killed(scene, parts, 7)
+    first = kept(parts)
+    assert 7 <= first < 40 and read_result(parts).n_steps >= first
+    capsys.readouterr()
+    assert main(["run", str(scene), "-o", str(parts), "--resume"]) == 0
+    done = sum(line.startswith("load ") for line in capsys.readouterr().out.splitlines())
+    with read_result(whole) as one, read_result(parts) as other:
+        assert done == one.n_steps - first
+        np.testing.assert_allclose(other.values, one.values, rtol=1e-8)
+        for step in range(one.n_steps):
+            np.testing.assert_allclose(other.points(step), one.points(step), rtol=0, atol=1e-8)
+    one, other = (read_summary(folder / "summary.json") for folder in (whole, parts))
+    for figure in ("converged", "reason", "steps", "method", "stable", "limit_points", "newton_iterations"):
+        assert one.get(figure) == other.get(figure), figure
+    before = (parts / "result.vtkhdf").read_bytes()
+    assert main(["run", str(scene), "-o", str(parts), "--resume"]) == 0  # it is at its end
+    assert (parts / "result.vtkhdf").read_bytes() == before
+
+
+def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_own(write, tmp_path, capsys):
+    scene, out = write("load"), tmp_path / "out"
+    short = ["--set", "statics.load_steps=2"]
+    assert main(["run", str(scene), "-o", str(out), "--resume", *short]) == 2
+    assert "nothing there" in capsys.readouterr().err and not out.exists()
+    assert main(["run", str(scene), "-o", str(out), *short]) == 0
+    (out / "restart" / "last").unlink()
+    capsys.readouterr()
+    assert main(["run", str(scene), "-o", str(out), "--resume", *short]) == 0
+    assert "no step to go on from: the run starts anew" in capsys.readouterr().out
+    for change in (["--set", "shell.young=2e8"], ()):
+        if not change:
+            (tmp_path / "strip.obj").write_text(STRIP.replace("v 0.04", "v 0.041"))
+        assert main(["run", str(scene), "-o", str(out), "--resume", *short, *change]) == 2
+        assert "of another scene, other meshes or other --set" in capsys.readouterr().err
+    (tmp_path / "strip.obj").write_text(STRIP)
+    (set_of_one,) = (out / "restart").glob("*.npz")
+    data = set_of_one.read_bytes()
+    for broken in (data[: len(data) // 2], data[:600] + b"\xff" + data[601:], b""):
+        set_of_one.write_bytes(broken)
+        assert main(["run", str(scene), "-o", str(out), "--resume", *short]) == 2
+        assert "damaged" in capsys.readouterr().err
