@@ -7,6 +7,7 @@ import pytest
 from mesh_helpers import areas, generator, obj
 from test_cli import SCENE, cells, refused, two_panels, voile
 
+from voile import run as voile_run
 from voile.errors import InputError
 from voile.mesh import (
     build_topology,
@@ -19,6 +20,7 @@ from voile.mesh import (
     surface_loops,
     write_obj,
 )
+from voile.mesh.grids import grid, rings
 
 GRID = 4  # cells a side of test_cli.cells: vertex 5 i + j is at (i, j)
 
@@ -318,3 +320,65 @@ def test_inverse_design_of_a_refined_target(tmp_path):
     assert len(rest.points) == 81 and len(rest.triangles) == 128
     report = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
     assert report["sag"] < 1e-6
+
+
+def test_new_vertices_lie_on_a_smooth_surface_where_asked(tmp_path):
+    """A half cylinder and its arcs, irregular inside: distances to it fall by 2^4 a level, those of facets by 2^2."""
+    noise = np.random.default_rng(1).uniform(-0.15, 0.15, (2000, 2))
+    off = []
+    for n in (8, 16):
+        uv, triangles = grid(2 * n, n, "crossed")
+        inside = (np.abs(uv - 0.5) < 0.5 - 1e-9).all(axis=1)
+        u, v = (uv + np.where(inside[:, None], noise[: len(uv)] / [2 * n, n], 0.0)).T
+        write_obj(
+            tmp_path / "half.obj", np.column_stack([np.cos(np.pi * u), np.sin(np.pi * u), v]), triangles
+        )
+        coarse = read_mesh(tmp_path / "half.obj")
+        fine = refine(coarse, 2, "shell.refine", smooth=True)
+        assert np.array_equal(fine.points[: len(coarse.points)], coarse.points)
+        off.append(np.abs(np.hypot(fine.points[:, 0], fine.points[:, 1]) - 1.0).max())
+        assert fine.points[:, 2].min() == 0.0 and fine.points[:, 2].max() == 1.0
+    assert off[1] < 1e-5 and 14.0 < off[0] / off[1] < 18.0
+
+
+def test_what_is_flat_straight_or_sharp_stays_so(tmp_path):
+    """A sheet, and a box whose corners no smooth surface goes round."""
+    write_obj(tmp_path / "flat.obj", np.pad(grid(5, 4)[0], ((0, 0), (0, 1))), grid(5, 4)[1])
+    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    write_obj(
+        tmp_path / "box.obj",
+        corners,
+        np.array([(a, *two) for a, b, c, d in faces for two in ((b, c), (c, d))]),
+    )
+    for name in ("flat.obj", "box.obj"):
+        sharp, smooth = (refine(read_mesh(tmp_path / name), 2, "shell.refine", s) for s in (False, True))
+        np.testing.assert_allclose(smooth.points, sharp.points, atol=1e-15)
+
+
+def test_a_smooth_sheet_that_is_refined_meets_the_exact_deflection(tmp_path):
+    """A clamped disc from a polygon of 18 sides: w = q R^4 / (64 D), second order."""
+    places, triangles = rings([1, 6, 12, 18])
+    radius = np.repeat(np.arange(4) / 3.0, [1, 6, 12, 18])
+    angle = 2.0 * np.pi * np.concatenate(places)
+    flat = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle])
+    scene = {
+        "shell": {
+            "mesh": (flat, triangles),
+            "young": 1e9,
+            "poisson": 0.3,
+            "thickness": 0.01,
+            "density": 1e3,
+        },
+        "loads": {"gravity": [0.0, 0.0, -0.01]},
+        "fix": [{"select": {"boundary": 0}, "clamp": True}],
+        "statics": {"load_steps": 1},
+    }
+    exact = 0.1 / (64.0 * 1e9 * 1e-6 / (12.0 * (1.0 - 0.3**2)))
+    off = [-_sag(scene, times) / exact - 1.0 for times in (2, 3)]
+    assert 0.0 < off[1] < 0.006 and 3.5 < off[0] / off[1] < 4.5
+
+
+def _sag(scene, times):
+    shell = {**scene["shell"], "refine": times, "refine_smooth": True}
+    return voile_run({**scene, "shell": shell}).positions[:, 2].min()

@@ -18,8 +18,9 @@ from voile.mesh.topology import Topology, boundary_loops, build_topology
 MOST_TRIANGLES = 10**8  # their half edges fit in 32 bits, and no machine's memory holds many more
 
 
-def refine(surface: Surface, times: int, where: str) -> Surface:
-    """The surface with every triangle split into 4^times. Raises InputError, naming the key `where`, for too many."""
+def refine(surface: Surface, times: int, where: str, smooth: bool = False) -> Surface:
+    """The surface with every triangle split into 4^times, at the middles of its edges or, where `smooth`, of curves
+    above them (mesh.smooth). Raises InputError, naming the key `where`, for too many."""
     count = len(surface.triangles)
     if count * 4**times > MOST_TRIANGLES:
         most = int(np.log(MOST_TRIANGLES / count) / np.log(4.0))
@@ -28,13 +29,13 @@ def refine(surface: Surface, times: int, where: str) -> Surface:
             f"allowed: at most {most}, {MOST_TRIANGLES:.0e} triangles"
         )
     for _ in range(times):
-        surface = _refined(surface)
+        surface = _refined(surface, smooth)
     return surface
 
 
-def _refined(coarse: Surface) -> Surface:
+def _refined(coarse: Surface, smooth: bool) -> Surface:
     topology = build_topology(coarse.triangles)
-    fine = replace(coarse, coarser=coarse, ends=topology.edges)
+    fine = replace(coarse, coarser=coarse, ends=topology.edges, smooth=smooth)
     texture, texture_triangles = coarse.texture, coarse.texture_triangles
     if texture is not None and texture_triangles is not None:
         laid = build_topology(texture_triangles)

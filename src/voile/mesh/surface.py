@@ -18,6 +18,7 @@ from voile.mesh.checks import check_coordinates, check_triangles, flat_triangles
 from voile.mesh.guards import check_xdmf, ending, refuse_references
 from voile.mesh.obj import read_obj
 from voile.mesh.raw import RawMesh, fan
+from voile.mesh.smooth import smooth_middles
 from voile.mesh.stitches import Stitches
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class Surface:
     vertex in the file, which has input_vertices of them; input_triangle (m,) int64, increasing, and
     input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source: the file.
     A refined surface (mesh.refine) has a coarser one, whose vertices come first, then the middles of its edges: ends
-    (e, 2) of them. Its input_vertex counts those on from the file's.
+    (e, 2) of them, on a smooth surface where it is `smooth`. Its input_vertex counts those on from the file's.
     """
 
     points: Reals
@@ -55,6 +56,7 @@ class Surface:
     source: str
     coarser: Surface | None = None
     ends: Ints | None = None
+    smooth: bool = False
 
     @property
     def coarsest(self) -> Surface:
@@ -66,7 +68,9 @@ class Surface:
         if self.coarser is None or self.ends is None or levels == 0:
             return points
         points = self.coarser.carry(points, None if levels is None else levels - 1)
-        return np.concatenate([points, points[self.ends].mean(axis=1)])
+        coarse = self.coarser.triangles
+        middles = smooth_middles(points, coarse) if self.smooth else points[self.ends].mean(axis=1)
+        return np.concatenate([points, middles])
 
     vertex_groups: dict[str, Ints] = field(default_factory=dict)
 

@@ -71,6 +71,11 @@ class Shell:
         "what lies between them",
         default=0,
     )
+    refine_smooth: bool = key(
+        Boolean(),
+        "refine: new vertices on a smooth surface through the old ones, instead of the middles of their edges",
+        default=False,
+    )
     model: str = key(Choice(*MODELS), "elastic model", default="koiter")
     bending: str = key(Choice(*BENDING), "mid-edge normals of the Koiter model", default="tan")
     material: str = key(Choice(*MATERIALS), "material law", default="stvk")

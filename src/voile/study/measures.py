@@ -93,7 +93,8 @@ def _dotted(known: dict[str, tuple[str, ...] | None]) -> list[str]:
 def surface_of(scene: Scene) -> Surface:
     """The scene's mesh. Raises InputError."""
     spec = scene.shell
-    return refine(read_mesh(spec.mesh, spec.scale, spec.seams), spec.refine, f"{scene.path}: shell.refine")
+    surface = read_mesh(spec.mesh, spec.scale, spec.seams)
+    return refine(surface, spec.refine, f"{scene.path}: shell.refine", spec.refine_smooth)
 
 
 def _selected(surface: Surface, point: Point) -> Ints:

@@ -21,6 +21,7 @@ OWN = {RANKS: Integer(1)}
 MODEL, DISCRETE, TIME, ITERATION, COST = "model", "discretisation", "time step", "iteration", "cost only"
 CHANGES = {
     "shell.refine": DISCRETE,
+    "shell.refine_smooth": DISCRETE,
     "shell.mesh": DISCRETE,
     "shell.bending": DISCRETE,  # mid-edge normals of one shell; what fine meshes leave of it counts as model
     "dynamics.time_step": TIME,
