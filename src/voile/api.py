@@ -196,7 +196,7 @@ def solve(
     with options_of_run(petsc):
         try:
             with signals.not_lost(ending), run_of_its_own(comm.size, ending):
-                failure = task.run(job)
+                failure: str = task.run(job)
         except NotConverged as reason:
             failure = str(reason)
             job.refuse(failure)

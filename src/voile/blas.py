@@ -168,7 +168,8 @@ def _text(library: ctypes.CDLL, function: str) -> str:
         return ""
     found = getattr(library, function)
     found.restype = ctypes.c_char_p
-    return found().decode()
+    values: str = found().decode()
+    return values
 
 
 class _Symbol(ctypes.Structure):

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 import traceback
+from typing import Any
 
 from voile.blas import check_memory
 from voile.commands import all_commands
@@ -75,7 +76,7 @@ class CommandParser(argparse.ArgumentParser):
 
     _splitting = False
 
-    def parse_known_args(self, args=None, namespace=None):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         if self._splitting:
             return super().parse_known_args(args, namespace)
         self._splitting = True

@@ -37,7 +37,7 @@ class NotWritten(NotConverged):
 class Hinged(NotConverged):
     """Parts (joints, all vertices) of a target that turn freely about the one or two vertices that they hang by."""
 
-    def __init__(self, message: str, parts: list):
+    def __init__(self, message: str, parts: list[Any]):
         super().__init__(message)
         self.parts = parts
 

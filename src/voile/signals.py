@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 
 # SIGUSR1 because mpirun hands it on to its ranks and then ends as they do; SIGTERM it takes for itself.
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
@@ -14,7 +15,7 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
     ranks must end at the same place (voile.problem.lifetime.stop_if_told)."""
     told: list[int] = []
 
-    def stop(number: int, _frame) -> None:
+    def stop(number: int, _frame: FrameType | None) -> None:
         told.append(number)
         if not together:
             raise KeyboardInterrupt

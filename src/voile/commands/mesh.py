@@ -3,7 +3,7 @@
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from voile.errors import InputError
 
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> None:
     read_mesh(out)  # what could not be mended is said as the reader says it
 
 
-def _mended(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict]:
+def _mended(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict[str, Any]]:
     from voile.mesh.repair import WELD, RepairOptions, repair, size_of
 
     weld = WELD if args.weld is None else args.weld
@@ -89,7 +89,7 @@ def _mended(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict]:
     return done.mesh, {"changed": done.changed, "left": left, "size": size_of(done.mesh)}
 
 
-def _mirrored(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict]:
+def _mirrored(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict[str, Any]]:
     from voile.mesh.checks import check_coordinates
     from voile.mesh.mirror import mirror, plane_of
 
@@ -133,7 +133,7 @@ def _check(args: argparse.Namespace, out: Path) -> None:
         raise InputError(f"-o {out}: is the file it is made from; allowed: another one")
 
 
-def _lines(told: dict) -> list[str]:
+def _lines(told: dict[str, Any]) -> list[str]:
     if "plane" in told:
         ((axis, place),) = told["plane"].items()
         apart, rms = told["other_half"]["apart"], told["other_half"]["rms"]

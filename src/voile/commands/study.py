@@ -1,12 +1,19 @@
 """`voile study`: a scene in many variants, their errors and costs, and what to choose for an accuracy."""
 
+from __future__ import annotations
+
 import argparse
 import shlex
 import signal
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from voile.errors import InputError
+
+if TYPE_CHECKING:
+    from voile.study.execute import Record, Runs
+    from voile.study.plan import Run
 
 TEXT = "convergence and speed-for-accuracy studies: a table, a picture, what to choose for an accuracy"
 
@@ -47,7 +54,7 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def _list(args: argparse.Namespace, runs) -> None:
+def _list(args: argparse.Namespace, runs: Runs) -> None:
     """One line per run that is not complete."""
     words = [
         sys.executable,
@@ -63,7 +70,7 @@ def _list(args: argparse.Namespace, runs) -> None:
             print(f"{shlex.join(words)} --run {k}")
 
 
-def _one(args: argparse.Namespace, runs) -> int:
+def _one(args: argparse.Namespace, runs: Runs) -> int:
     """The run of a number, if it is missing."""
     count = len(runs.plan.runs)
     if not 1 <= args.run <= count:
@@ -74,7 +81,7 @@ def _one(args: argparse.Namespace, runs) -> int:
     return 0
 
 
-def _all(args: argparse.Namespace, runs) -> int:
+def _all(args: argparse.Namespace, runs: Runs) -> int:
     from voile.study.analysis import analyse
     from voile.study.execute import CONVERGED, figures_of, missing
     from voile.study.report import text, write_files
@@ -97,7 +104,7 @@ def _all(args: argparse.Namespace, runs) -> int:
     return 0 if any(record.status == CONVERGED for record in records) else 3
 
 
-def _tell(each, found, new: bool) -> None:
+def _tell(each: Run, found: Record, new: bool) -> None:
     """A line on standard error."""
     from voile.study.execute import CONVERGED
 

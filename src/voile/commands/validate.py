@@ -1,9 +1,17 @@
 """`voile validate`: physics protocols against their references."""
 
+from __future__ import annotations
+
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from voile.errors import InputError, NotConverged
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voile.validate.protocol import Protocol
 
 TEXT = "physics protocols against their references, a table and a plot each"
 
@@ -34,7 +42,7 @@ def run(args: argparse.Namespace) -> None:
     _perform([protocols[name] for name in args.name or protocols], args)
 
 
-def _perform(chosen, args: argparse.Namespace) -> None:
+def _perform(chosen: Sequence[Protocol], args: argparse.Namespace) -> None:
     from mpi4py import MPI
 
     from voile.results.summary import write_summary

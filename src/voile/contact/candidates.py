@@ -6,6 +6,7 @@ continuous collision detection), so the distance needs no sign: each layer stays
 
 from dataclasses import dataclass, field, fields
 from itertools import compress
+from typing import Any
 
 import ipctk
 import numpy as np
@@ -61,7 +62,7 @@ class Layers:
         self._split = len(self.triangles) * len(self.points)  # codes from here on are of edges
         self._mesh = ipctk.CollisionMesh(self.points, self.edges, self.triangles)
 
-    def __reduce__(self):  # ipctk's mesh is not sent to other ranks
+    def __reduce__(self) -> tuple[Any, ...]:  # ipctk's mesh is not sent to other ranks
         return Layers, tuple(getattr(self, f.name) for f in fields(self))
 
     def find(self, x: Reals, kept: Ints | None = None, further: float | None = None) -> Candidates:
@@ -85,9 +86,10 @@ class Layers:
         found = self.find(self.points)
         near = closest(found, self.points).distance < distance
         parts = zip((slice(found.faces), slice(found.faces, None)), ACROSS, strict=True)
-        return np.concatenate(
+        values: Ints = np.concatenate(
             [found.vertex[part][near[part]][:, side] for part, sides in parts for side in sides]
         ).astype(np.int64)
+        return values
 
     def _named(self, code: Ints, x: Reals) -> Candidates:
         least = np.full(len(code), self.thickness)
@@ -114,7 +116,7 @@ class Layers:
             face, edge = self._codes(faces, edges)
             swept.fv_candidates = list(compress(faces, self._open(face)))
             swept.ee_candidates = list(compress(edges, self._open(edge)))
-        return swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD())
+        return float(swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD()))
 
     def check_start(self, x: Reals) -> None:
         """Raises InputError where layers at x (n, 3) are in the same place, or (but for what is excluded) through each
@@ -147,7 +149,8 @@ class Layers:
         joined = (sides[edge][:, :, None] == apart[face][:, None]).any(axis=(1, 2))
         stencil = np.column_stack([sides[edge], apart[face]])[~joined]
         through = [ipctk.is_edge_intersecting_triangle(*x[row]) for row in stencil]
-        return np.unique(stencil[np.array(through, dtype=bool)][:, :2])
+        values: Ints = np.unique(stencil[np.array(through, dtype=bool)][:, :2])
+        return values
 
     def check_held(self, x: Reals, free: Flags) -> None:
         """Raises InputError where what is not free (n,) keeps layers at x (n, 3) nearer than they may come."""
@@ -162,7 +165,7 @@ class Layers:
                 f"nearer than twice the offset, {self.thickness:.4g} m; lower contact.offset or hold them further apart"
             )
 
-    def _codes(self, faces: list, edges: list) -> tuple[Ints, Ints]:
+    def _codes(self, faces: list[Any], edges: list[Any]) -> tuple[Ints, Ints]:
         """Codes of ipctk's candidates, in their order."""
         n, e = len(self.points), len(self.edges)
         face = np.array([c.face_id * n + c.vertex_id for c in faces], dtype=np.int64)
@@ -180,7 +183,8 @@ class Layers:
         return ~excluded
 
     def _pair_code(self, i: Ints, j: Ints) -> Ints:
-        return np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)
+        found: Ints = np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)
+        return found
 
     def _faces(self, code: Ints) -> int:
         return int(np.count_nonzero(code < self._split))

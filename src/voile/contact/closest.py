@@ -67,9 +67,10 @@ def closest_of_edges(x: Reals) -> Closest:
 def edge_distance(x: Reals) -> Reals:
     """(p,) distances of two edges x (p, 4, 3), wherever they are closest."""
     ends = [(0, 2, 3), (1, 2, 3), (2, 0, 1), (3, 0, 1)]
-    return np.minimum.reduce(
+    found: Reals = np.minimum.reduce(
         [closest_of_edges(x).distance, *(_to_edge(x[:, i], x[:, j], x[:, k])[1] for i, j, k in ends)]
     )
+    return found
 
 
 def derivatives(c: Closest, x: Reals) -> tuple[Reals, Reals]:
@@ -91,11 +92,13 @@ def derivatives(c: Closest, x: Reals) -> tuple[Reals, Reals]:
 
 
 def _dot(a: Reals, b: Reals) -> Reals:
-    return np.einsum("pi,pi->p", a, b)
+    found: Reals = np.einsum("pi,pi->p", a, b)
+    return found
 
 
 def _length(weight: Reals, x: Reals) -> Reals:
-    return np.linalg.norm(np.einsum("pi,pik->pk", weight, x), axis=1)
+    found: Reals = np.linalg.norm(np.einsum("pi,pik->pk", weight, x), axis=1)
+    return found
 
 
 def _to_edge(point: Reals, first: Reals, second: Reals) -> tuple[Reals, Reals]:

@@ -8,17 +8,19 @@ Two forms of the natural map serve the solver:
 """
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from voile.arrays import Flags, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.crossing import entries
 from voile.contact.directions import unit
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
+from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
@@ -74,7 +76,9 @@ class Contact(NaturalMap):
             length, offset = np.linalg.norm(end - begin, axis=1), np.asarray(self.offset)[k]
             going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
 
-            def gap(points, rows, obstacle=obstacle, offset=offset[going]):
+            def gap(
+                points: Reals, rows: Ints, obstacle: Obstacle = obstacle, offset: Reals = offset[going]
+            ) -> tuple[Reals, Reals]:
                 here, normal = obstacle.derivatives_on_way(points, began)[:2]
                 return here - offset[rows], unit(normal, np.zeros(3))[1]
 
@@ -108,7 +112,7 @@ class Contact(NaturalMap):
             self.collect(p, partial(p.spread, normal, tangential), total)
         return total
 
-    def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0):
+    def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0) -> Iterator[tuple[Ints, Reals]]:
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
         for p in self.pairs(x, t, softness, frozen=True):
             _, push, stiff = self.guard(p)

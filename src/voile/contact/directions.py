@@ -17,7 +17,8 @@ def unit(vectors: Reals, otherwise: Reals, least: Reals | float = 0.0) -> tuple[
 
 def normalised(vector: Reals) -> Reals:
     """A vector (3,) of length 1."""
-    return np.asarray(vector, dtype=float) / np.linalg.norm(vector)
+    found: Reals = np.asarray(vector, dtype=float) / np.linalg.norm(vector)
+    return found
 
 
 def perpendicular(axis: Reals) -> Reals:

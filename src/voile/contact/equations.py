@@ -1,10 +1,11 @@
 """The semismooth Newton equations of Signorini's and Coulomb's laws for the reactions of all contacts."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import Pairs, outer, times, within
 
@@ -62,7 +63,8 @@ class Equations:
         )  # on one side the weights sum to 1, whose gradients are the gap's there
         size = np.where(self.slips, self.pressed / p.gradient_norm, 0.0)
         turned = np.einsum("p,pi,pij->pj", size, self.along, normal)
-        return np.einsum("ps,pi,pj->psij", g.weight, p.unit, turned).reshape(g.curvature.shape)
+        found: Reals = np.einsum("ps,pi,pj->psij", g.weight, p.unit, turned).reshape(g.curvature.shape)
+        return found
 
     def held(self) -> Reals:
         """(p, 3s, 3s) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
@@ -115,12 +117,12 @@ class Linearised:
             self.contact.collect(e.p, e.spread, total)
         return total
 
-    def blocks(self):
+    def blocks(self) -> Iterator[tuple[Ints, Reals]]:
         """Their derivative by the step, per partner (stencils, blocks N/m) as of `Contact.blocks`."""
         for e in self.parts:
             yield e.p.stencil, e.blocks()
 
-    def held(self):
+    def held(self) -> Iterator[tuple[Ints, Reals]]:
         """What the constraints add to the tangent that decides stability, as `blocks`."""
         for e in self.parts:
             yield e.p.stencil, e.held()

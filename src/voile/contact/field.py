@@ -60,7 +60,8 @@ class DistanceField:
     def distance(self, p: Reals) -> Reals:
         """(n,) m at points (n, 3)."""
         place, beyond = self._clamp(p)
-        return self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
+        found: Reals = self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
+        return found
 
     def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
@@ -95,8 +96,9 @@ class DistanceField:
             return (value,)
         slopes, bends = np.einsum("nabc,nc->nab", c, d[:, 2]), np.einsum("nabc,nc->nab", c, dd[:, 2])
 
-        def along(grid, first, second):
-            return np.einsum("nab,na,nb->n", grid, first[:, 0], second[:, 1])
+        def along(grid: Reals, first: Reals, second: Reals) -> Reals:
+            found: Reals = np.einsum("nab,na,nb->n", grid, first[:, 0], second[:, 1])
+            return found
 
         gradient = np.stack([along(planes, d, w), along(planes, w, d), along(slopes, w, w)], axis=1)
         xx, yy, zz = along(planes, dd, w), along(planes, w, dd), along(bends, w, w)
@@ -167,7 +169,8 @@ def signed_distance(points: Reals, triangles: Ints, skin: Ints, p: Reals) -> Rea
     """(k,) exact distance of p (k, 3) to the triangles `skin`, negative inside the whole mesh."""
     squares = igl.point_mesh_squared_distance(np.ascontiguousarray(p), points, skin)[0]
     inside = igl.fast_winding_number(points, triangles, np.ascontiguousarray(p)) > 0.5
-    return np.where(inside, -1.0, 1.0) * np.sqrt(squares)
+    found: Reals = np.where(inside, -1.0, 1.0) * np.sqrt(squares)
+    return found
 
 
 def _check_orientation(points: Reals, triangles: Ints, source: str) -> None:
@@ -209,7 +212,8 @@ def _outer(points: Reals, triangles: Ints, diagonal: float) -> Ints:
     middle = lifted.mean(axis=1, keepdims=True)
     probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
     outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5
-    return triangles[outside.reshape(-1, 4).any(axis=1)]
+    found: Ints = triangles[outside.reshape(-1, 4).any(axis=1)]
+    return found
 
 
 def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[float, float]:
@@ -226,7 +230,8 @@ def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[floa
 
     def outside(depth: Reals) -> Flags:
         there = np.ascontiguousarray(place + depth[:, None] * inwards)
-        return igl.fast_winding_number(points, triangles, there) <= 0.5
+        found: Flags = igl.fast_winding_number(points, triangles, there) <= 0.5
+        return found
 
     deep = np.full(SAMPLES, most)
     thin = outside(deep)
@@ -241,13 +246,13 @@ def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[floa
     return float(found[int(PART * SAMPLES)]), float(found[int(MOST * SAMPLES)])
 
 
-def _samples(points, triangles, skin, origin, spacing, shape) -> Reals:
+def _samples(points: Reals, triangles: Ints, skin: Ints, origin: Reals, spacing: float, shape: Ints) -> Reals:
     """Signed distances at the grid's nodes: exact in the band around the surface, interpolated beyond."""
     few = [np.arange(0, n, COARSE) for n in shape]
     coarse = np.stack(np.meshgrid(*few, indexing="ij"), axis=-1).reshape(-1, 3)
     far = signed_distance(points, triangles, skin, origin + spacing * coarse).reshape([len(n) for n in few])
     axes = [np.arange(n) / COARSE for n in shape]
-    samples = map_coordinates(far, np.meshgrid(*axes, indexing="ij"), order=1)
+    samples: Reals = map_coordinates(far, np.meshgrid(*axes, indexing="ij"), order=1)
     band = np.abs(samples) < (BAND + np.sqrt(3.0) * COARSE) * spacing
     nodes = np.argwhere(band)
     samples[band] = signed_distance(points, triangles, skin, origin + spacing * nodes)

@@ -39,11 +39,15 @@ class Frames:
     def at(self, t: float) -> Reals:
         """(n, 3) m."""
         k, share = self.between(t)
-        return self.points[k] + share * (self.points[min(k + 1, len(self.points) - 1)] - self.points[k])
+        found: Reals = self.points[k] + share * (
+            self.points[min(k + 1, len(self.points) - 1)] - self.points[k]
+        )
+        return found
 
     def distance(self, p: Reals, t: float) -> Reals:
         """(n,) m."""
-        return np.sum([weight * part.distance(p) for weight, part in self._parts(t)], axis=0)
+        found: Reals = np.sum([weight * part.distance(p) for weight, part in self._parts(t)], axis=0)
+        return found
 
     def derivatives(self, p: Reals, t: float) -> tuple[Reals, Reals, Reals]:
         """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
@@ -59,7 +63,8 @@ class Frames:
         triangles = self.triangles.astype(np.int64)
         _, near, foot = igl.point_mesh_squared_distance(np.ascontiguousarray(p), before, triangles)
         share = _shares(foot, before[triangles[near]])
-        return p + np.einsum("pk,pki->pi", share, (after - before)[triangles[near]])
+        found: Reals = p + np.einsum("pk,pki->pi", share, (after - before)[triangles[near]])
+        return found
 
     def _parts(self, t: float) -> list[tuple[float, DistanceField]]:
         k, share = self.between(t)

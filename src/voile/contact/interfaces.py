@@ -135,15 +135,18 @@ class SelfContact:
     def moved(self, rows: Ints, weight: Reals, x: Reals, t: float, history: History) -> Reals:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
         vertex = history.candidates.vertex[rows]
-        return np.einsum("ps,psi->pi", weight, x[vertex] - history.layers[vertex])
+        found: Reals = np.einsum("ps,psi->pi", weight, x[vertex] - history.layers[vertex])
+        return found
 
     def movable(self, history: History) -> Flags:
         """(c,) marks the contacts that have unknowns."""
-        return self.free[history.candidates.vertex].any(axis=1)
+        found: Flags = self.free[history.candidates.vertex].any(axis=1)
+        return found
 
     def counted(self, rows: Ints, history: History) -> Flags:
         """(p,) marks the contacts that count on this rank."""
-        return self.own[history.candidates.vertex[rows, 0]]
+        found: Flags = self.own[history.candidates.vertex[rows, 0]]
+        return found
 
     def places(self, code: Ints, history: History) -> Ints:
         """Rows of the contacts known by codes (p,), which are among the candidates."""

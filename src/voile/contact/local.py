@@ -127,7 +127,17 @@ class LocalLaws:
         rest[:, 7] = partner.counted(rows, history)
         return self._made(k, rows, g.vertex.astype(np.int32), g.weight, g.gap, g.gradient, at, rest)
 
-    def _made(self, k: int, rows, vertex, weight, gap, gradient, anchor, rest) -> _Linearised:
+    def _made(
+        self,
+        k: int,
+        rows: Ints,
+        vertex: Ints,
+        weight: Reals,
+        gap: Reals,
+        gradient: Reals,
+        anchor: Reals,
+        rest: Reals,
+    ) -> _Linearised:
         count, contact = len(rows), self.contact
         length = np.linalg.norm(gradient, axis=1)
         normal = gradient / length[:, None]
@@ -185,7 +195,9 @@ class LocalLaws:
     def mismatch(self, x: Reals) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's contacts, at positions x (n, 3)."""
         assert self.found is not None
-        return self.laws.mismatch(np.ascontiguousarray(self._gather(x)), self.found.rho, self.found.counted)
+        return float(
+            self.laws.mismatch(np.ascontiguousarray(self._gather(x)), self.found.rho, self.found.counted)
+        )
 
     def remember(self) -> None:
         """The reactions become the history's."""

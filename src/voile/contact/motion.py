@@ -42,7 +42,10 @@ class Motion:
 
     def turn(self, t: float) -> Reals:
         """(3, 3) rotation at time t."""
-        return Rotation.from_rotvec(self.share(t) * np.asarray(self.rotation, dtype=float)).as_matrix()
+        found: Reals = Rotation.from_rotvec(
+            self.share(t) * np.asarray(self.rotation, dtype=float)
+        ).as_matrix()
+        return found
 
     def place(self, points: Reals, t: float) -> Reals:
         """Where the body's points (n, 3) are at time t."""
@@ -60,7 +63,8 @@ class Motion:
     def between(self, points: Reals, start: float, end: float) -> Reals:
         """(n, 3) displacement (m) of the body's points, given as they are at t = 0, from time start to end."""
         turned = (points - self.center) @ (self.turn(end) - self.turn(start)).T
-        return turned + (self.shift(end) - self.shift(start))
+        found: Reals = turned + (self.shift(end) - self.shift(start))
+        return found
 
     def matrix(self, t: float) -> Reals:
         """(4, 4) `place` of (x, y, z, 1)."""
@@ -104,7 +108,8 @@ class Track(Motion):
         return self._at(t)[:3]
 
     def turn(self, t: float) -> Reals:
-        return Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
+        found: Reals = Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
+        return found
 
     def _at(self, t: float) -> Reals:
         return np.array([np.interp(t, self.times, column) for column in self.rows.T])

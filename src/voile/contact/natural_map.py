@@ -119,7 +119,8 @@ class NaturalMap:
 
     def gap(self, k: int, x: Reals, t: float, rows: slice | Ints = slice(None)) -> Reals:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
-        return self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
+        found: Reals = self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
+        return found
 
     def pairs(self, x: Reals, t: float, softness: float = 1.0, *, frozen: bool = False) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction. softness: of rho; frozen: normals and weights of the
@@ -155,7 +156,8 @@ class NaturalMap:
     def _bounds(self, p: Pairs, frozen: bool) -> Reals:
         if frozen:
             return self.history.tresca[p.index][p.row]
-        return p.friction * p.gradient_norm * np.maximum(p.lam_n, 0.0)
+        found: Reals = p.friction * p.gradient_norm * np.maximum(p.lam_n, 0.0)
+        return found
 
     def project(self, p: Pairs, frozen: bool = False) -> tuple[Reals, Reals]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
@@ -174,7 +176,8 @@ class NaturalMap:
     def slips(self, p: Pairs) -> Flags:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
         beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
-        return (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
+        found: Flags = (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
+        return found
 
     def counted(self, p: Pairs) -> Flags:
         """(p,) marks the pairs that count on this rank."""

@@ -36,7 +36,7 @@ class Obstacle:
     # ---- in scenes ----
 
     @classmethod
-    def scene_keys(cls) -> dict[str, dataclasses.Field]:
+    def scene_keys(cls) -> dict[str, dataclasses.Field[Any]]:
         """The keys of the shape's scene table."""
         return {f.name: f for f in dataclasses.fields(cls) if f.metadata}
 

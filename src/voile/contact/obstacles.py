@@ -4,7 +4,7 @@ Distances are exact but for meshes; where the closest point is not unique (a sph
 definite one is taken.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, fields
 from math import pi
 from pathlib import Path
 from typing import Any, Self
@@ -18,7 +18,7 @@ from voile.contact.frames import Frames, frame_files
 from voile.contact.motion import Motion
 from voile.contact.obstacle import SHAPES, Obstacle
 from voile.contact.pairs import dot, outer
-from voile.contact.surfaces import AROUND, revolve, stretch, unit_sphere
+from voile.contact.surfaces import AROUND, Triangles, revolve, stretch, unit_sphere
 from voile.errors import InputError
 from voile.keys import File, MeshFile, Number, Rejected, Vector3, key, vector
 from voile.mesh import RawMesh, read_body
@@ -36,14 +36,14 @@ class Plane(Obstacle, shape="plane"):
     point: Reals = key(vector("m"), "a point of it")
     normal: Reals = key(vector(nonzero=True), "outward direction, any length")
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         n = normalised(self.normal)
         return (p - self.point) @ n, np.tile(n, (len(p), 1)), np.zeros((len(p), 3, 3))
 
-    def distance(self, p):
+    def distance(self, p: Reals) -> Reals:
         return (p - self.point) @ normalised(self.normal)
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         """A rectangle below the bounds."""
         n = normalised(self.normal)
         first = perpendicular(n)
@@ -58,14 +58,15 @@ class Sphere(Obstacle, shape="sphere"):
     center: Reals = key(vector("m"), "centre")
     radius: float = key(Number("m", above=0), "radius")
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         r, n = unit(p - self.center, np.array([0.0, 0.0, 1.0]))
         return r - self.radius, n, (np.eye(3) - outer(n, n)) / np.maximum(r, TINY)[:, None, None]
 
-    def distance(self, p):
-        return np.linalg.norm(p - self.center, axis=1) - self.radius
+    def distance(self, p: Reals) -> Reals:
+        found: Reals = np.linalg.norm(p - self.center, axis=1) - self.radius
+        return found
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         points, triangles = unit_sphere()
         return self.center + self.radius * points, triangles
 
@@ -78,16 +79,16 @@ class Cylinder(Obstacle, shape="cylinder"):
     axis: Reals = key(vector(nonzero=True), "direction of the axis, any length")
     radius: float = key(Number("m", above=0), "radius")
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         a = normalised(self.axis)
         _, r, n = radial(p - self.center, a)
         across = np.eye(3) - np.outer(a, a) - outer(n, n)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
-    def distance(self, p):
+    def distance(self, p: Reals) -> Reals:
         return radial(p - self.center, normalised(self.axis))[1] - self.radius
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         low, high = stretch(self.center, normalised(self.axis), bounds)
         return revolve(self.center, self.axis, np.full(2, self.radius), np.array([low, high]))
 
@@ -101,11 +102,11 @@ class Capsule(Obstacle, shape="capsule"):
     radius: float = key(Number("m", above=0), "radius")
 
     @classmethod
-    def check(cls, table):
+    def check(cls, table: Any) -> None:
         if table.a == table.b:
             raise Rejected("equals a; allowed: another point (equal ends make a sphere)", ("b",))
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         along = np.asarray(self.b, dtype=float) - self.a
         length = float(np.linalg.norm(along))
         axis = along / length
@@ -116,7 +117,7 @@ class Capsule(Obstacle, shape="capsule"):
         across = np.eye(3) - outer(n, n) - inner * np.outer(axis, axis)
         return r - self.radius, n, across / np.maximum(r, TINY)[:, None, None]
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         axis = np.subtract(self.b, self.a)
         t = np.linspace(-np.pi / 2, np.pi / 2, AROUND // 2)
         length = np.linalg.norm(axis) * (t > 0.0)
@@ -131,7 +132,7 @@ class Cone(Obstacle, shape="cone"):
     axis: Reals = key(vector(nonzero=True), "direction of the axis, any length")
     half_angle: float = key(Number("rad", above=0, below=pi / 2), "angle between axis and surface")
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         a, sine, cosine = normalised(self.axis), np.sin(self.half_angle), np.cos(self.half_angle)
         d = p - self.apex
         z, r, e = radial(d, a)
@@ -146,7 +147,7 @@ class Cone(Obstacle, shape="cone"):
             np.where(beyond[:, None, None], tip, flank),
         )
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         """From the apex to the far end of the bounds."""
         high = stretch(self.apex, normalised(self.axis), bounds)[1]
         z = np.array([0.0, max(high, np.linalg.norm(np.ptp(bounds, axis=0)))])
@@ -163,7 +164,7 @@ class Torus(Obstacle, shape="torus"):
     tube: float = key(Number("m", above=0), "radius of the tube, below radius")
 
     @classmethod
-    def check(cls, table):
+    def check(cls, table: Any) -> None:
         if table.tube >= table.radius:
             raise Rejected(f"{table.tube:g}; allowed: below radius = {table.radius:g}", ("tube",))
 
@@ -171,7 +172,7 @@ class Torus(Obstacle, shape="torus"):
     def finest(self) -> float:
         return self.tube
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         a = normalised(self.axis)
         z, r, e = radial(p - self.center, a)
         far, n = unit((r - self.radius)[:, None] * e + z[:, None] * a, e)
@@ -180,7 +181,7 @@ class Torus(Obstacle, shape="torus"):
         turning = (dot(n, e) / np.maximum(r, TINY))[:, None, None] * outer(around, around)
         return far - self.tube, n, across + turning
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         t = np.linspace(-np.pi, np.pi, AROUND // 2)
         return revolve(self.center, self.axis, self.radius + self.tube * np.cos(t), self.tube * np.sin(t))
 
@@ -191,14 +192,14 @@ class Ellipsoid(Obstacle, shape="ellipsoid"):
     radii: Reals = key(vector("m", above=0), "half axes along x, y, z")
 
     @classmethod
-    def check(cls, table):
+    def check(cls, table: Any) -> None:
         if max(table.radii) > LONGEST * min(table.radii):
             raise Rejected(
                 f"{list(table.radii)}; allowed: the longest at most {LONGEST:g} times the shortest",
                 ("radii",),
             )
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         squares = np.asarray(self.radii, dtype=float) ** 2
         d = p - self.center
         foot = _ellipsoid_foot(np.abs(d), np.asarray(self.radii, dtype=float)) * np.where(d < 0.0, -1.0, 1.0)
@@ -208,7 +209,7 @@ class Ellipsoid(Obstacle, shape="ellipsoid"):
         shape = across @ np.diag(1.0 / squares) @ across / gradient_norm[:, None, None]
         return gap, n, np.linalg.solve(np.eye(3) + gap[:, None, None] * shape + 1e-14 * np.eye(3), shape)
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         points, triangles = unit_sphere()
         return self.center + self.radii * points, triangles
 
@@ -228,7 +229,8 @@ def _ellipsoid_foot(p: Reals, radii: Reals) -> Reals:
         low, high = np.where(above, s, low), np.where(above, high, s)
         if (high - low <= 4e-16 * high).all():
             break
-    return squares * p / (0.5 * (low + high)[:, None] + beyond)
+    found: Reals = squares * p / (0.5 * (low + high)[:, None] + beyond)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +240,7 @@ class Box(Obstacle, shape="box"):
     center: Reals = key(vector("m"), "centre")
     sizes: Reals = key(vector("m", above=0), "half edges along x, y, z")
 
-    def derivatives(self, p):
+    def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         d = p - self.center
         side = np.where(d < 0.0, -1.0, 1.0)
         beyond = np.abs(d) - self.sizes
@@ -254,13 +256,13 @@ class Box(Obstacle, shape="box"):
         curvature = np.where(inside[:, None, None], 0.0, rounded / np.maximum(far, TINY)[:, None, None])
         return np.where(inside, beyond.max(axis=1), far), n, curvature
 
-    def distance(self, p):
+    def distance(self, p: Reals) -> Reals:
         d = p - self.center
         beyond = np.abs(d) - self.sizes
         far = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         return np.where(far <= NOWHERE * np.linalg.norm(d, axis=1), beyond.max(axis=1), far)
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         """Corners of their own on every face, so that shading shows the edges."""
         points = []
         for axis in range(3):
@@ -306,37 +308,37 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
         return 0.25 * self.spacing
 
     @property
-    def moves(self):
+    def moves(self) -> bool:
         return self.motion.moves or self.frames is not None
 
     @property
     def ends(self) -> float:
         return max(self.frames.lasts if self.frames else 0.0, self.motion.ends)
 
-    def gap(self, points, t):
+    def gap(self, points: Reals, t: float) -> Reals:
         return self.frames.distance(points, t) if self.frames else super().gap(points, t)
 
-    def gap_derivatives(self, points, t):
+    def gap_derivatives(self, points: Reals, t: float) -> tuple[Reals, Reals, Reals]:
         return self.frames.derivatives(points, t) if self.frames else super().gap_derivatives(points, t)
 
-    def carry(self, points, start, end):
+    def carry(self, points: Reals, start: float, end: float) -> Reals:
         return self.frames.carry(points, start, end) if self.frames else super().carry(points, start, end)
 
-    def way(self, points, began, moved, ended):
+    def way(self, points: Reals, began: float, moved: Reals, ended: float) -> tuple[Reals, Reals]:
         """In the shape that the body has at the beginning."""
         if not self.frames:
             return super().way(points, began, moved, ended)
         return points, moved - (self.frames.carry(points, began, ended) - points)
 
-    def derivatives_on_way(self, points, began):
+    def derivatives_on_way(self, points: Reals, began: float) -> tuple[Reals, Reals, Reals]:
         return self.frames.derivatives(points, began) if self.frames else self.derivatives(points)
 
     @classmethod
-    def scene_keys(cls):
+    def scene_keys(cls) -> dict[str, Field[Any]]:
         return {f.name: f for f in fields(MeshKeys)}
 
     @classmethod
-    def check(cls, table):
+    def check(cls, table: Any) -> None:
         if (table.file is None) == (table.frames is None):
             problem = 'shape = "mesh" needs file' if table.file is None else "not together with file"
             raise Rejected(f'the key "file" is missing; {problem}' if table.file is None else problem, ())
@@ -346,7 +348,7 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
             raise Rejected("frames do not go together with a move", ("move",))
 
     @classmethod
-    def build(cls, values, **common):
+    def build(cls, values: dict[str, Any], **common: Any) -> Self:
         files = [values["file"]] if values["file"] else frame_files(values["frames"])
         bodies = [read_body(file, values["scale"]) for file in files]
         points, triangles = bodies[0]
@@ -371,7 +373,7 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
         """The body of points (n, 3) m and triangles (m, 3) from `source`; see `distance_field`."""
         return cls(**vars(distance_field(points, triangles, resolution, source)), **common)
 
-    def surface(self, bounds):
+    def surface(self, bounds: Reals) -> Triangles:
         return self.points, self.triangles
 
     def about(self) -> str:

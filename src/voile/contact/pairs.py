@@ -80,12 +80,14 @@ class Pairs:
     def over_vertices(self, block: Reals, weight: Reals) -> Reals:
         """(p, 3s, 3s) what blocks (p, 3, 3) of the relative position are over the vertices."""
         p, s = weight.shape
-        return np.einsum("ps,pt,pij->psitj", weight, weight, block).reshape(p, 3 * s, 3 * s)
+        found: Reals = np.einsum("ps,pt,pij->psitj", weight, weight, block).reshape(p, 3 * s, 3 * s)
+        return found
 
 
 def dot(a: Reals, b: Reals) -> Reals:
     """(p,) scalar products of rows."""
-    return np.einsum("pi,pi->p", a, b)
+    found: Reals = np.einsum("pi,pi->p", a, b)
+    return found
 
 
 def outer(a: Reals, b: Reals) -> Reals:
@@ -95,7 +97,8 @@ def outer(a: Reals, b: Reals) -> Reals:
 
 def times(a: Reals, b: Reals) -> Reals:
     """(p, 3) products of matrices (p, 3, 3) and rows (p, 3)."""
-    return np.einsum("pij,pj->pi", a, b)
+    found: Reals = np.einsum("pij,pj->pi", a, b)
+    return found
 
 
 def within(normal: Reals, v: Reals) -> Reals:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
+from numpy.typing import ArrayLike
 
 from voile import _kernels
 from voile.arrays import Ints, Reals
@@ -122,7 +123,7 @@ def _check_manifold(topology: Topology) -> None:
             raise InputError(f"triangles: the edge between vertices {i} and {j} has {what}")
 
 
-def _fabric(count: int, thickness, young, poisson) -> list[Reals]:
+def _fabric(count: int, thickness: ArrayLike, young: ArrayLike, poisson: ArrayLike) -> list[Reals]:
     values = []
     for name, value, low, high in (
         ("thickness", thickness, 0.0, np.inf),
@@ -150,7 +151,9 @@ def _hessian(kernel: _kernels.Elastic, u: Reals, phi: Reals, kind: str) -> scipy
     return scipy.sparse.csr_matrix((values, column, start), shape=(size, size))
 
 
-def _jacobian(values: Reals, corners: Ints, triangles: Ints, topology: Topology, columns: int):
+def _jacobian(
+    values: Reals, corners: Ints, triangles: Ints, topology: Topology, columns: int
+) -> scipy.sparse.csr_matrix:
     """Per-triangle dq/dx (m, 6, 21) as a sparse (6m, columns) matrix; `corners` numbers the vertices."""
     m, vertices = len(triangles), int(corners.max()) + 1
     other = corners.ravel()[np.maximum(topology.across, 0)]  # without a neighbour the values are zero
@@ -169,7 +172,9 @@ def _jacobian(values: Reals, corners: Ints, triangles: Ints, topology: Topology,
     return scipy.sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=(6 * m, columns))
 
 
-def _add_mixed(result, kernel, u, phi, triangles, topology) -> None:
+def _add_mixed(
+    result: Evaluation, kernel: _kernels.Elastic, u: Reals, phi: Reals, triangles: Ints, topology: Topology
+) -> None:
     """d2E/dx dX = J(x)^T W_(q q_rest) J(X); the same with W_(q p) for the parameters p."""
     m = len(triangles)
     q_rest, q_fabric, fabric = kernel.mixed(u, phi)

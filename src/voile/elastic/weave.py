@@ -94,7 +94,8 @@ def warp_of(rest: Rest, surface: Surface, given: list[tuple[Reals, Any, str]]) -
 def warp_directions(rest: Reals, triangles: Ints, weave: Reals) -> Reals:
     """(m, 3) vectors along the warp of rest triangles (m, 3) with a weave (m, 9)."""
     edges = rest[triangles[:, 1:]] - rest[triangles[:, :1]]
-    return np.einsum("ta,tai->ti", weave[:, :2], edges)
+    found: Reals = np.einsum("ta,tai->ti", weave[:, :2], edges)
+    return found
 
 
 def warp_components(rest: Reals, triangles: Ints, warp: Reals) -> Reals:
@@ -110,4 +111,5 @@ def warp_components(rest: Reals, triangles: Ints, warp: Reals) -> Reals:
             f"the warp along ({', '.join(f'{x:g}' for x in warp[k])}) stands upright on rest triangle {k}; allowed: a "
             "direction that lies along every triangle, or texture coordinates"
         )
-    return c / length[:, None]
+    found: Reals = c / length[:, None]
+    return found

@@ -123,7 +123,7 @@ def _optimiser(objective: Reduced, z: PETSc.Vec, radius: float, metric: PETSc.Ma
     hessian = PETSc.Mat().createPython((z.getSizes(), z.getSizes()), objective, comm=objective.problem.comm)
     hessian.setUp()
 
-    def accepted(_tao, z, _hessian, _preconditioner) -> None:
+    def accepted(_tao: PETSc.TAO, z: PETSc.Vec, _hessian: PETSc.Mat, _preconditioner: PETSc.Mat) -> None:
         objective.simulate(z)
         objective.accept()
         objective.shifted = 0.0

@@ -30,7 +30,7 @@ def times(matrix: PETSc.Mat, columns: Reals) -> Reals:
     """matrix @ columns."""
     given = dense(columns, matrix.comm)
     product = matrix.matMult(given)
-    out = product.getDenseArray().copy()
+    out: Reals = product.getDenseArray().copy()
     for each in (given, product):
         each.destroy()
     return out
@@ -38,7 +38,8 @@ def times(matrix: PETSc.Mat, columns: Reals) -> Reals:
 
 def products(left: Reals, right: Reals, comm: MPI.Comm) -> Reals:
     """left^T right over all ranks."""
-    return comm.allreduce(left.T @ right)
+    found: Reals = comm.allreduce(left.T @ right)
+    return found
 
 
 def orthonormal(gram: Reals) -> Reals:
@@ -47,7 +48,8 @@ def orthonormal(gram: Reals) -> Reals:
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     theta, q = np.linalg.eigh(gram * scale * scale[:, None])
     kept = theta > SCALED * theta[-1]
-    return scale[:, None] * q[:, kept] / np.sqrt(theta[kept])
+    found: Reals = scale[:, None] * q[:, kept] / np.sqrt(theta[kept])
+    return found
 
 
 class Factor:

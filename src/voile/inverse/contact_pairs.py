@@ -37,7 +37,8 @@ class ContactPairs:
     @property
     def gradient_norm(self) -> Reals:
         """(c,) lengths of the gap's gradient."""
-        return np.linalg.norm(self.geometry.gradient, axis=1)
+        found: Reals = np.linalg.norm(self.geometry.gradient, axis=1)
+        return found
 
     @property
     def normal(self) -> Reals:
@@ -66,13 +67,15 @@ class ContactPairs:
             return np.full(len(partner.here), np.inf)
         x, (i, j) = partner.layers.points, partner.layers.edges.T
         links = sparse.csr_matrix((np.linalg.norm(x[j] - x[i], axis=1), (i, j)), shape=(len(x), len(x)))
-        return dijkstra(links, directed=False, indices=np.unique(vertex), min_only=True)[partner.here]
+        found: Reals = dijkstra(links, directed=False, indices=np.unique(vertex), min_only=True)[partner.here]
+        return found
 
     def relative(self, field: Reals) -> Reals:
         """(c, 3, ...) of a field (local vertices, 3, ...): its value at a vertex on an obstacle, its jump between
         layers."""
         wide = self.partner.gather(field)
-        return np.einsum("cs,cs...->c...", self.geometry.weight, wide[self.geometry.vertex])
+        found: Reals = np.einsum("cs,cs...->c...", self.geometry.weight, wide[self.geometry.vertex])
+        return found
 
     def spread(self, reaction: Reals) -> Reals:
         """(local vertices, 3) forces of reactions (c, 3)."""
@@ -85,7 +88,8 @@ class ContactPairs:
         """(c, 3s, 3s) what blocks (c, 3, 3) of `relative` are over the vertices."""
         weight = self.geometry.weight
         size = 3 * weight.shape[1]
-        return np.einsum("cs,ct,cij->csitj", weight, weight, block).reshape(len(self), size, size)
+        found: Reals = np.einsum("cs,ct,cij->csitj", weight, weight, block).reshape(len(self), size, size)
+        return found
 
 
 def find_contact_pairs(contact: Contact, x: Reals, tolerance: float) -> list[ContactPairs]:

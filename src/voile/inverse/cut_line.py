@@ -3,6 +3,7 @@
 import numpy as np
 import shapely
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.inverse.flatten import overlaps
 
@@ -10,7 +11,7 @@ TOUCHING = 1e-8  # m
 MITRE = 2.0  # longest corner of the cut line, in allowances
 
 
-def cut_line(outline: np.ndarray, allowance: np.ndarray, name: str) -> tuple[np.ndarray, ...]:
+def cut_line(outline: Reals, allowance: Reals, name: str) -> tuple[Reals, ...]:
     """Rings (c, 2) of the cut line of a sew line (b, 2), counter-clockwise, the outer one first; allowance (b,), m, of
     the edge from each point to the next. InputError where the panel lies on itself."""
     if overlaps(outline):
@@ -31,7 +32,7 @@ def cut_line(outline: np.ndarray, allowance: np.ndarray, name: str) -> tuple[np.
     return tuple(shapely.get_coordinates(ring)[:-1] for ring in (wide.exterior, *wide.interiors))
 
 
-def _strips(outline: np.ndarray, allowance: np.ndarray) -> list[shapely.Polygon]:
+def _strips(outline: Reals, allowance: Reals) -> list[shapely.Polygon]:
     """What each edge adds outside, and each corner that points outwards: to where both cut lines meet."""
     along = np.roll(outline, -1, axis=0) - outline
     out = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]

@@ -11,6 +11,7 @@ of the adjoint method like any other: no multipliers, no penalty.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -71,7 +72,7 @@ class DevelopableRest:
             np.int32
         )
         self.projected = problem.create_vector()
-        self._made: tuple = ()  # PETSc objects of the last `_prepare`
+        self._made: tuple[Any, ...] = ()  # PETSc objects of the last `_prepare`
 
     # ---- the constraints ----
 
@@ -84,7 +85,7 @@ class DevelopableRest:
 
     def largest_defect(self) -> float:
         """Largest absolute angle defect (rad)."""
-        return self.problem.comm.allreduce(float(np.abs(self.defects()).max(initial=0.0)), op=MPI.MAX)
+        return float(self.problem.comm.allreduce(float(np.abs(self.defects()).max(initial=0.0)), op=MPI.MAX))
 
     def _angles(self) -> tuple[Ints, Reals, Reals]:
         """Vertices (m, 3) of the rest triangles' corners, angles there (m, 3), their gradients (m, 3, 3, 3) by the

@@ -301,12 +301,13 @@ class Direct:
             sharpest = int(opening.argmin())
             angle = 180.0 - float(np.degrees(opening[sharpest]))
             found = angle, int(self.problem.part.triangle[pairs[sharpest, 0]])
-        return self.problem.comm.allreduce(found, op=MPI.MAX)
+        values: tuple[float, int] = self.problem.comm.allreduce(found, op=MPI.MAX)
+        return values
 
     def floor(self) -> float:
         """Round-off of the residual (N): of positions times the stiffness that was linearised last."""
         stiffness = self.matrix.norm(PETSc.NormType.INFINITY)
-        return max(ROUND_OFF * stiffness * self.problem.size(), force_floor(self.problem))
+        return float(max(ROUND_OFF * stiffness * self.problem.size(), force_floor(self.problem)))
 
     def negative(self, z: PETSc.Vec) -> int:
         """Negative eigenvalues of the tangent at the target, on what contact leaves free."""

@@ -10,8 +10,10 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
+from voile.arrays import Reals
 from voile.errors import NotConverged
 from voile.inverse.flatten import FlatPanels, distortion, relax
+from voile.inverse.panels import Panels
 from voile.inverse.rules import SeamRule, sides
 
 REACH = 0.5  # of the side's length: where the stretch ends
@@ -19,7 +21,7 @@ ACCURACY = 1e-8  # m
 ROUNDS = 60
 
 
-def wanted_ease(panels, rules: Sequence[SeamRule]) -> list[float | None]:
+def wanted_ease(panels: Panels, rules: Sequence[SeamRule]) -> list[float | None]:
     """By how much (m) each seam's first side is to be longer than its second; None where no rule says so."""
     found: list[float | None] = [None] * len(panels.seams)
     for k, seam in enumerate(panels.seams):
@@ -66,7 +68,7 @@ def add_ease(flat: FlatPanels, rules: Sequence[SeamRule]) -> FlatPanels:
     )
 
 
-def _influence(flat: FlatPanels, seam: int, side: int) -> np.ndarray:
+def _influence(flat: FlatPanels, seam: int, side: int) -> Reals:
     """(m', 2, 2) of the panel's triangles: t t^T with the seam's direction t, times 1 at the seam to 0 at its reach."""
     panels, run = flat.panels, flat.panels.seams[seam].sides[side]
     points = flat.coordinates[run]
@@ -78,8 +80,9 @@ def _influence(flat: FlatPanels, seam: int, side: int) -> np.ndarray:
     tangent = np.diff(points, axis=0)[edge]
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     weight = np.clip(1.0 - shapely.distance(line, middle) / (REACH * arc[-1]), 0.0, 1.0)
-    return np.einsum("t,ti,tj->tij", weight, tangent, tangent)
+    found: Reals = np.einsum("t,ti,tj->tij", weight, tangent, tangent)
+    return found
 
 
-def _length(points: np.ndarray) -> float:
+def _length(points: Reals) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

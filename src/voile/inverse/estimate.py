@@ -171,7 +171,7 @@ class Estimation:
     def _misfit(self, states: list[PETSc.Vec]) -> float:
         """Sum of squared distances from the observed shapes (m^2)."""
         own = sum(float(e @ e) for e in self._missed(states))
-        return self.observations[0].problem.comm.allreduce(own)
+        return float(self.observations[0].problem.comm.allreduce(own))
 
     def _missed(self, states: list[PETSc.Vec]) -> list[Reals]:
         return [o.missed(y) for o, y in zip(self.observations, states, strict=True)]
@@ -217,7 +217,9 @@ class Estimation:
                 "them enters; estimate one and give the others, or observe under other loads (inverse.also)"
             )
 
-    def _estimate(self, p: Reals, states: list[PETSc.Vec], history) -> Estimate:
+    def _estimate(
+        self, p: Reals, states: list[PETSc.Vec], history: list[tuple[float, dict[str, float]]]
+    ) -> Estimate:
         gram, _ = self._normal_equations(p, states)
         variance = self._misfit(states) / max(self.count - len(p), 1)
         deviation = np.sqrt(variance * np.diag(np.linalg.inv(gram))) * np.exp(p)

@@ -67,7 +67,7 @@ def flatten_disc(points: Reals, triangles: Ints, name: str = "panel") -> Reals:
     return relax(_start(points, triangles, gradient), triangles, points[triangles], name)
 
 
-def relax(x: np.ndarray, triangles: np.ndarray, shapes: np.ndarray, name: str) -> np.ndarray:
+def relax(x: Reals, triangles: Ints, shapes: Reals, name: str) -> Reals:
     """Plane coordinates (n, 2) of least distortion of triangles (m, 3) from shapes of their own, corners (m, 3, 3) in
     metres, from coordinates x without flips; raises NotConverged."""
     gradient, area = _gradients(shapes.reshape(-1, 3), np.arange(3 * len(shapes)).reshape(-1, 3))
@@ -122,7 +122,8 @@ def _start(points: Reals, triangles: Ints, gradient: Reals) -> Reals:
     if not np.isfinite(x).all() or (np.linalg.det(jacobian) <= 0).any():
         x = _tutte(points, triangles, loop)
         jacobian = np.einsum("tij,tjk->tik", x[triangles].transpose(0, 2, 1), gradient)
-    return x / np.sqrt(np.mean(np.linalg.det(jacobian)))
+    found: Reals = x / np.sqrt(np.mean(np.linalg.det(jacobian)))
+    return found
 
 
 def _tutte(points: Reals, triangles: Ints, loop: Ints) -> Reals:
@@ -177,7 +178,8 @@ class _Energy:
         self.diagonal = np.searchsorted(places, (size + 1) * np.arange(size))
 
     def jacobian(self, x: Reals) -> Reals:
-        return np.einsum("tij,tik->tjk", x[self.triangles], self.gradient)
+        found: Reals = np.einsum("tij,tik->tjk", x[self.triangles], self.gradient)
+        return found
 
     def value(self, x: Reals) -> float:
         """Infinite where a triangle is flipped."""

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.rules import PanelRule
@@ -19,7 +20,7 @@ LEVEL = 0.3  # mean slope of the grain direction on a panel below which the pane
 SHORT = 0.2  # of the outline: the length of both sides of a seam that makes a tube; darts are shorter
 
 
-def grains(flat: FlatPanels, direction: ArrayLike | None, rules: Sequence[PanelRule]) -> list[np.ndarray]:
+def grains(flat: FlatPanels, direction: ArrayLike | None, rules: Sequence[PanelRule]) -> list[Reals]:
     """Unit direction (2,) of each panel's grain; direction: in space, for panels without a rule that are no tubes, the
     panel's long axis for None. Raises InputError for a direction that is none, and a rule "tube" for a panel that is
     none."""
@@ -38,7 +39,7 @@ def grains(flat: FlatPanels, direction: ArrayLike | None, rules: Sequence[PanelR
     return found
 
 
-def _tube(flat: FlatPanels, k: int) -> np.ndarray | None:
+def _tube(flat: FlatPanels, k: int) -> Reals | None:
     """(3,) the axis of a panel that is a tube, upwards along y if it is not level, else along its seam."""
     panels = flat.panels
     points, outline = panels.points[panels.vertex], panels.outlines[k]
@@ -56,21 +57,22 @@ def _tube(flat: FlatPanels, k: int) -> np.ndarray | None:
     return None
 
 
-def _end(points: np.ndarray, outline: np.ndarray, one: int, other: int) -> np.ndarray:
+def _end(points: Reals, outline: Ints, one: int, other: int) -> Reals:
     """(3,) the middle of the ring that a tube's outline makes between two points that are sewn together."""
     i, j = (int(np.flatnonzero(outline == v)[0]) for v in (one, other))
     runs = [np.roll(outline, -a)[: (b - a) % len(outline) + 1] for a, b in ((i, j), (j, i))]
     ring = points[min(runs, key=lambda run: _length(points[run]))]
     weights = np.linalg.norm(np.diff(ring, axis=0), axis=1)
     middle = 0.5 * (ring[1:] + ring[:-1])
-    return weights @ middle / weights.sum() if weights.sum() else ring[0]
+    found: Reals = weights @ middle / weights.sum() if weights.sum() else ring[0]
+    return found
 
 
-def _length(points: np.ndarray) -> float:
+def _length(points: Reals) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _along(flat: FlatPanels, k: int, grain: ArrayLike | None) -> np.ndarray:
+def _along(flat: FlatPanels, k: int, grain: ArrayLike | None) -> Reals:
     """Unit direction (2,): the mean slope of the height along `grain` over the flat panel."""
     panels = flat.panels
     corners = panels.corners[panels.panel == k]
@@ -88,17 +90,20 @@ def _along(flat: FlatPanels, k: int, grain: ArrayLike | None) -> np.ndarray:
         ).sum(axis=0)
         slope /= (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum()
         if np.linalg.norm(slope) >= LEVEL:
-            return slope / np.linalg.norm(slope)
+            upright: Reals = slope / np.linalg.norm(slope)
+            return upright
     outline = flat.coordinates[panels.outlines[k]]
     _, _, axes = np.linalg.svd(outline - outline.mean(axis=0), full_matrices=False)
-    return axes[0]
+    found: Reals = axes[0]
+    return found
 
 
-def _unit(direction: ArrayLike) -> np.ndarray:
+def _unit(direction: ArrayLike) -> Reals:
     vector = np.asarray(direction, dtype=float)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < np.inf:
         raise InputError(
             f"pattern: grain = {vector.tolist()}, allowed: a direction, three numbers not all zero"
         )
-    return vector / length
+    found: Reals = vector / length
+    return found

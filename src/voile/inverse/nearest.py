@@ -281,7 +281,7 @@ class Nearest:
             return float(above[0]) / trial.lowest
         half = 0.5 * point.s.dot(self.beside.weigh(point.s))
         merit = half + local.model.mu * float(barrier(above)[0].sum())
-        return (local.merit - merit) / (local.merit - trial.merit)
+        return float((local.merit - merit) / (local.merit - trial.merit))
 
     def _entering(self, point: Checkpoint) -> Flags:
         """(n,) the local vertices that a point has inside an obstacle."""
@@ -290,7 +290,8 @@ class Nearest:
         inside = np.zeros(len(x), dtype=bool)
         for body, floor in zip(self.target.obstacles, self.floor, strict=True):
             inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
-        return inside & self.target.movable
+        found: Flags = inside & self.target.movable
+        return found
 
     def reach(self, path: DirectPath, margin: float) -> tuple[Checkpoint, bool]:
         """`advance` from where the direct method stopped to the full load, with less margin where the way ends."""

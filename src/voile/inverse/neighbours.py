@@ -50,7 +50,7 @@ class Move:
     z: PETSc.Vec
 
     def dot(self, other: "Move") -> float:
-        return self.s.dot(other.s) + self.z.dot(other.z)
+        return float(self.s.dot(other.s) + self.z.dot(other.z))
 
     def axpy(self, factor: float, other: "Move") -> None:
         self.s.axpy(factor, other.s)

@@ -46,7 +46,7 @@ class Distance(Objective):
         self.weight.scale(1.0 / target.problem.size() ** 2)
 
     def value(self, y: PETSc.Vec, z: PETSc.Vec) -> float:
-        return 0.5 * y.dot(scaled(self.weight, y))
+        return float(0.5 * y.dot(scaled(self.weight, y)))
 
     def by_state(self, y: PETSc.Vec, z: PETSc.Vec) -> PETSc.Vec:
         return scaled(self.weight, y)
@@ -65,7 +65,7 @@ class Change(Objective):
 
     def value(self, y: PETSc.Vec, z: PETSc.Vec) -> float:
         change = z - self.home
-        return 0.5 * self.factor * change.dot(scaled(self.metric, change))
+        return float(0.5 * self.factor * change.dot(scaled(self.metric, change)))
 
     def by_design(self, y: PETSc.Vec, z: PETSc.Vec) -> PETSc.Vec:
         return self.along_design(z - self.home)

@@ -78,7 +78,7 @@ class Observation:
             )
         if low <= 0.0:
             raise InputError(f"inverse.estimate: the first guess of {name} is {low:g}; allowed: above 0")
-        return low
+        return float(low)
 
     def set(self, values: dict[str, float]) -> bool:
         """Gives the problem these parameters, with the masses and contacts that they make; False if they are none."""
@@ -156,4 +156,5 @@ class UnknownRest:
         own, rest = problem.part.owned_vertices, target.x + problem.motion(path.rest)
         pieces = problem.comm.allgather((problem.part.vertex[own], rest[own]))
         index, points = (np.concatenate(part) for part in zip(*pieces, strict=True))
-        return points[np.argsort(index)]
+        found: Reals | None = points[np.argsort(index)]
+        return found

@@ -287,10 +287,12 @@ class _Walk:
         self.loops = sorted(self._loops(), key=lambda loop: (panel[loop[0] // 3], loop[0]))
 
     def starts(self, half: Ints) -> Ints:
-        return self.corners[half // 3, (half + 1 - half // 3 * 3) % 3]
+        found: Ints = self.corners[half // 3, (half + 1 - half // 3 * 3) % 3]
+        return found
 
     def ends(self, half: Ints) -> Ints:
-        return self.corners[half // 3, (half + 2 - half // 3 * 3) % 3]
+        found: Ints = self.corners[half // 3, (half + 2 - half // 3 * 3) % 3]
+        return found
 
     def _loops(self) -> Iterator[Ints]:
         left = dict.fromkeys(self.next)

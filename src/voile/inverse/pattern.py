@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -105,7 +106,8 @@ def _layout(cuts: list[Reals]) -> Reals:
         place[row, 0] = np.cumsum(size[row, 0] + GAP) - size[row, 0] - GAP
         place[row, 1] = below
         below -= GAP
-    return place - [0.0, place[:, 1].min()] - low
+    found: Reals = place - [0.0, place[:, 1].min()] - low
+    return found
 
 
 def _corners(outline: Reals) -> Ints:
@@ -183,7 +185,7 @@ def _sewn(seam: Seam, label: str, allowance: float, ease: float, x: Reals, panel
     return SewnSeam(label, seam.panels, sides, (lengths[0], lengths[1]), allowance, ease)
 
 
-def pattern_summary(pattern: Pattern) -> dict:
+def pattern_summary(pattern: Pattern) -> dict[str, Any]:
     """Figures of a pattern: lengths in m, areas in m^2; distortion is the larger of s1 - 1 and 1 - s2.
 
     Per panel: area, perimeter, distortion (largest and area-weighted mean), stretch (largest s1 - 1), compression

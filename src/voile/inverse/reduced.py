@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.history import History
@@ -200,7 +201,7 @@ def _sum(vectors: Iterable[PETSc.Vec]) -> PETSc.Vec:
     return first
 
 
-def _factor(comm, symmetric: bool) -> PETSc.PC:
+def _factor(comm: MPI.Comm, symmetric: bool) -> PETSc.PC:
     """LDL^T (its inertia tells a saddle) or, where something slips, LU."""
     pc = PETSc.PC().create(comm=comm)
     pc.setOptionsPrefix("adjoint_")

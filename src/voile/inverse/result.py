@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -152,7 +153,7 @@ class InverseResult:
         return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
 
 
-def inverse_report(result: InverseResult) -> dict:
+def inverse_report(result: InverseResult) -> dict[str, Any]:
     """Figures for the summary: see the keys."""
     target, direct, adjoint = result.target, result.direct, result.adjoint
     problem = target.problem
@@ -186,7 +187,7 @@ def inverse_report(result: InverseResult) -> dict:
     }
 
 
-def _nearest(result: InverseResult) -> dict | None:
+def _nearest(result: InverseResult) -> dict[str, Any] | None:
     nearest, held = result.nearest, result.held
     if not (nearest and held):
         return None
@@ -200,7 +201,7 @@ def _nearest(result: InverseResult) -> dict | None:
     }
 
 
-def _reactions(result: InverseResult) -> dict:
+def _reactions(result: InverseResult) -> dict[str, Any]:
     """What holds the target, or the nearest stable shape, over all ranks: contacts, active ones, least and largest
     of their gaps in the target (m), which simulations keep, the least margin to slip (share of friction's bound that is
     left) and the least friction that would do. Answers of the adjoint method have the simulation's reactions only."""

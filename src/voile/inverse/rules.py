@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.mesh import is_called
 
@@ -77,9 +78,7 @@ def sides(panels: Named, seam: Any, rule: SeamRule) -> tuple[int, int] | None:
     return None
 
 
-def allowances(
-    panels: Any, seams: Sequence[SeamRule], allowance: float
-) -> tuple[list[np.ndarray], list[float]]:
+def allowances(panels: Any, seams: Sequence[SeamRule], allowance: float) -> tuple[list[Reals], list[float]]:
     """From the sew line to the cut line, m: along each panel's outline, (b,) for the edge from each point to the next,
     and at each seam. The last rule that means an edge counts."""
     at_seam = [allowance] * len(panels.seams)

@@ -49,11 +49,12 @@ class Model:
 
     def at(self, c: Reals) -> Reals:
         """The matrix at c."""
-        return (
+        found: Reals = (
             self.matrix
             + np.tensordot(c, self.slopes, 1)
             - self.sink * float(c @ c) * np.eye(len(self.matrix))
         )
+        return found
 
     def slopes_at(self, c: Reals) -> Reals:
         """Its derivatives there."""

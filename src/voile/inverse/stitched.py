@@ -139,4 +139,4 @@ def _same(seam: Seam, known: Seam) -> bool:
     if seam.panels != known.panels[::-1]:
         return False
     shares = [np.isin(seam.sides[k], known.sides[1 - k]).mean() for k in (0, 1)]
-    return min(shares) > 0.5
+    return bool(min(shares) > 0.5)

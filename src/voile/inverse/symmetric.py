@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.inverse.panels import Panels
 
@@ -10,7 +11,7 @@ PLACES = 3  # the plane of symmetry: found again with the partners that it gave
 FAR = 0.5  # of the mean edge: how far a vertex may be from the mirror image of its partner
 
 
-def mirror_map(panels: Panels, axis: int) -> np.ndarray:
+def mirror_map(panels: Panels, axis: int) -> Ints:
     """(p,) the panel vertex that mirrors each, over a plane across `axis` amid the surface: triangles mirror triangles.
 
     The shape may be off its mirror image by half an edge; panels must mirror panels. Raises InputError, naming the
@@ -41,7 +42,7 @@ def mirror_map(panels: Panels, axis: int) -> np.ndarray:
     return _of_panels(panels, partner, letter)
 
 
-def _layered(panels: Panels, partner: np.ndarray) -> np.ndarray:
+def _layered(panels: Panels, partner: Ints) -> Ints:
     """Partners where several vertices are at one place, as along seams of panels that lie apart: those that
     triangles mirror."""
     points = panels.points
@@ -72,7 +73,7 @@ def _layered(panels: Panels, partner: np.ndarray) -> np.ndarray:
     return found
 
 
-def _of_panels(panels: Panels, partner: np.ndarray, letter: str) -> np.ndarray:
+def _of_panels(panels: Panels, partner: Ints, letter: str) -> Ints:
     """(p,) partners of panel vertices, from those of the surface."""
     mirrored = {frozenset(corners): t for t, corners in enumerate(panels.triangles.tolist())}
     found = np.full(len(panels.vertex), -1)
@@ -94,7 +95,7 @@ def _of_panels(panels: Panels, partner: np.ndarray, letter: str) -> np.ndarray:
     return found
 
 
-def _check_panels(panels: Panels, found: np.ndarray, letter: str) -> None:
+def _check_panels(panels: Panels, found: Array, letter: str) -> None:
     """InputError at the first panel that is cut otherwise than its mirror image."""
     for k, name in enumerate(panels.names):
         own = found[panels.vertex_panel == k]
@@ -105,13 +106,14 @@ def _check_panels(panels: Panels, found: np.ndarray, letter: str) -> None:
             )
 
 
-def partners(panels: Panels, mirror: np.ndarray) -> list[int]:
+def partners(panels: Panels, mirror: Ints) -> list[int]:
     """The panel that mirrors each, itself where it is in the middle."""
     first = np.searchsorted(panels.vertex_panel, np.arange(len(panels.names)))
-    return panels.vertex_panel[mirror[first]].tolist()
+    found: list[int] = panels.vertex_panel[mirror[first]].tolist()
+    return found
 
 
-def symmetrised(panels: Panels, x: np.ndarray, mirror: np.ndarray) -> tuple[np.ndarray, float]:
+def symmetrised(panels: Panels, x: Reals, mirror: Ints) -> tuple[Reals, float]:
     """Flat coordinates (p, 2), m, in which panels are mirror images over an upright line each, and the farthest that a
     vertex moved against its panel. x has grain upwards; what mirrors itself stands upright."""
     x, moved = x.copy(), 0.0
@@ -130,19 +132,20 @@ def symmetrised(panels: Panels, x: np.ndarray, mirror: np.ndarray) -> tuple[np.n
     return x, moved
 
 
-def _fitted(shape: np.ndarray, to: np.ndarray) -> np.ndarray:
+def _fitted(shape: Reals, to: Reals) -> Reals:
     """Points (n, 2) turned and moved as near as can be to others (Kabsch, Acta Cryst. A32, 1976)."""
     one, other = shape - shape.mean(axis=0), to - to.mean(axis=0)
     turn = np.arctan2(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), np.sum(one * other))
     cos, sin = np.cos(turn), np.sin(turn)
-    return one @ np.array([[cos, sin], [-sin, cos]]) + to.mean(axis=0)
+    found: Reals = one @ np.array([[cos, sin], [-sin, cos]]) + to.mean(axis=0)
+    return found
 
 
-def _apart(one: np.ndarray, other: np.ndarray) -> float:
+def _apart(one: Reals, other: Reals) -> float:
     return float(np.linalg.norm(_fitted(other, one) - one, axis=1).max())
 
 
-def _upright(x: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+def _upright(x: Reals, mirror: Ints) -> Reals:
     """A shape (n, 2) that mirrors itself by `mirror` (n,), turned so that its line of symmetry is upright or level,
     whichever is nearer; exactly symmetric."""
     across = x - x[mirror]
@@ -152,4 +155,5 @@ def _upright(x: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(turn), np.sin(turn)
     turned = (x - x.mean(axis=0)) @ np.array([[cos, -sin], [sin, cos]])
     sign = [-1.0, 1.0] if abs(one[0]) > abs(one[1]) else [1.0, -1.0]
-    return 0.5 * (turned + turned[mirror] * sign)
+    found: Reals = 0.5 * (turned + turned[mirror] * sign)
+    return found

@@ -214,7 +214,8 @@ class Target:
             k = int(np.argmax(size))
             x = ", ".join(f"{c:.4g}" for c in places[k])
             text = f"with {most:.3g} N at vertex {int(vertex[k])} ({x})"
-        return self.problem.comm.bcast(text, root=rank)
+        found: str = self.problem.comm.bcast(text, root=rank)
+        return found
 
     def hold(self, z: PETSc.Vec) -> None:
         """Reactions for the rest displacement z."""
@@ -249,7 +250,8 @@ class Target:
         """(c,) whether a contact carries anything."""
         size = np.linalg.norm(self.reactions, axis=1)
         largest = self.problem.comm.allreduce(float(size.max(initial=0.0)), op=MPI.MAX)
-        return size > TINY * largest
+        found: Flags = size > TINY * largest
+        return found
 
     def margins(self) -> tuple[Reals, Reals]:
         """(c,) normal reactions (N) and margins to slip."""
@@ -315,7 +317,7 @@ class Target:
         self.problem.tangent(y, self.tangent, "exact", self._held())
         return self.tangent
 
-    def _held(self):
+    def _held(self) -> Iterator[tuple[Ints, Reals]]:
         penalty, active_all = PENALTY * self.membrane, self._active()
         for pairs, rows in self._rows():
             active, sticks = active_all[rows], (self.cones.friction[rows] > 0.0)[:, None, None]

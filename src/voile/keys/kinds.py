@@ -231,7 +231,8 @@ class Grain:
             if value not in self.names:
                 raise Rejected(f"{show(value)} is not allowed; allowed: {self.allowed()}")
             return value
-        return self.direction.read(value)
+        found: tuple[float, ...] | str = self.direction.read(value)
+        return found
 
     def allowed(self) -> str:
         return ", ".join([*(f'"{name}"' for name in self.names), self.direction.allowed()])

@@ -79,7 +79,8 @@ def flat_triangles(points: Reals, triangles: Ints) -> Ints:
 
 
 def _norm(vectors: Reals) -> Reals:
-    return np.linalg.norm(vectors, axis=1)
+    found: Reals = np.linalg.norm(vectors, axis=1)
+    return found
 
 
 def orient(raw: RawMesh) -> Flags:
@@ -130,7 +131,8 @@ def _flips(raw: RawMesh, one: Ints, other: Ints, clash: Flags) -> Flags:
     _, first, sheet = np.unique(sheet, return_index=True, return_inverse=True)
     size, alike = np.bincount(sheet), np.bincount(sheet, weights=given)
     keep_given = (2 * alike > size) | ((2 * alike == size) & given[first])
-    return given != keep_given[sheet]
+    found: Flags = given != keep_given[sheet]
+    return found
 
 
 def sew(raw: RawMesh, used: Flags) -> Flags:

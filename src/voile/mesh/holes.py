@@ -6,18 +6,19 @@ takes loop length cubed; edges that the mesh has already are no chords.
 
 import numpy as np
 
+from voile.arrays import Flags, Ints, Reals
 from voile.mesh.topology import boundary_loops, build_topology
 
 FLAT = 1e-4  # altitude over longest edge: flatter triangles close no hole
 LONGEST = 300  # edges of a loop: a minute of it
 
 
-def border_loops(points: np.ndarray, triangles: np.ndarray) -> list[np.ndarray]:
+def border_loops(points: Reals, triangles: Ints) -> list[Ints]:
     """Border loops of an edge-manifold, oriented mesh, longest (m) first."""
     return boundary_loops(triangles, build_topology(triangles), points)
 
 
-def fill(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.ndarray | None:
+def fill(points: Reals, triangles: Ints, loop: Ints) -> Ints | None:
     """Triangles (len(loop) - 2, 3) that close a border loop (k,), oriented as their neighbours; None where every way
     uses an edge or a triangle that the mesh has."""
     n, ring = len(loop), loop[::-1]  # neighbours run along the loop, fillings against it
@@ -54,7 +55,7 @@ def fill(points: np.ndarray, triangles: np.ndarray, loop: np.ndarray) -> np.ndar
     return None if known.intersection(map(tuple, np.sort(found, axis=1).tolist())) else found
 
 
-def _taken(triangles: np.ndarray, ring: np.ndarray) -> np.ndarray:
+def _taken(triangles: Ints, ring: Ints) -> Flags:
     """(n, n) whether two vertices of a ring are joined by an edge of the mesh."""
     place = np.full(triangles.max() + 1, -1)
     place[ring] = np.arange(len(ring))

@@ -6,6 +6,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
@@ -22,7 +23,7 @@ def plane_of(raw: RawMesh, axis: int) -> float:
         image = x.copy()
         image[:, axis] = 2 * place - image[:, axis]
         place = float(np.median(0.5 * (x[:, axis] + x[tree.query(image)[1], axis])))
-    return place
+    return float(place)
 
 
 def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, dict[str, float]]:
@@ -71,7 +72,7 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     return result, {"apart": float(np.sqrt(square.max())), "rms": float(np.sqrt(square.mean()))}
 
 
-def _shortest(raw: RawMesh) -> np.ndarray:
+def _shortest(raw: RawMesh) -> Reals:
     """(n,) length of the shortest edge at each vertex, 0 without any."""
     found = np.full(len(raw.points), np.inf)
     for k in range(3):
@@ -82,15 +83,13 @@ def _shortest(raw: RawMesh) -> np.ndarray:
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def _cut(
-    points: np.ndarray, triangles: np.ndarray, d: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cut(points: Reals, triangles: Ints, d: Reals) -> tuple[Reals, Ints, Ints]:
     """Points and those where edges meet the plane; the triangles where d (n,) is above 0, and what each was part of."""
     signs = np.sign(d[triangles])
     keep = (signs >= 0).all(axis=1) & (signs > 0).any(axis=1)
     faces, parent = triangles[keep].tolist(), np.flatnonzero(keep).tolist()
     between: dict[tuple[int, int], int] = {}
-    added: list[np.ndarray] = []
+    added: list[Reals] = []
 
     def crossing(a: int, b: int) -> int:
         key = (min(a, b), max(a, b))
@@ -116,7 +115,7 @@ def _cut(
     return everything, np.array(faces, dtype=np.int64).reshape(-1, 3), np.array(parent, dtype=np.int64)
 
 
-def _halved(ring: list[int], points: np.ndarray) -> list[list[int]]:
+def _halved(ring: list[int], points: Reals) -> list[list[int]]:
     """A quadrilateral as two triangles, along its shorter diagonal."""
     a, b, c, d = ring
     first = np.linalg.norm(points[a] - points[c]) <= np.linalg.norm(points[b] - points[d])
@@ -125,13 +124,13 @@ def _halved(ring: list[int], points: np.ndarray) -> list[list[int]]:
 
 def _groups(
     raw: RawMesh,
-    triangles: np.ndarray,
-    parent: np.ndarray,
-    points: np.ndarray,
+    triangles: Ints,
+    parent: Ints,
+    points: Reals,
     axis: int,
     place: float,
     side: int,
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+) -> tuple[Ints, Ints, tuple[str, ...]]:
     """Groups of the half's triangles and of their mirror images: the group that lies there, or a new one."""
     corners = raw.points[raw.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -91,7 +91,8 @@ def midpoints(surface: Surface, start: Ints, end: Ints) -> Ints:
     count = len(surface.coarser.points)
     ends = surface.ends.astype(np.int64)
     low, high = np.minimum(start, end).astype(np.int64), np.maximum(start, end)
-    return count + np.searchsorted(ends[:, 0] * count + ends[:, 1], low * count + high)
+    found: Ints = count + np.searchsorted(ends[:, 0] * count + ends[:, 1], low * count + high)
+    return found
 
 
 def carry_nodes(surface: Surface, chosen: Flags) -> Flags:

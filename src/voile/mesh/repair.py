@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from voile.arrays import Flags, Ints
 from voile.errors import InputError
 from voile.mesh.checks import LARGEST, flat_triangles
 from voile.mesh.holes import LONGEST, border_loops, fill
@@ -49,7 +50,7 @@ class Repair:
         if often:
             self.changed[what] = self.changed.get(what, 0) + int(often)
 
-    def keep(self, what: str, triangles: np.ndarray) -> None:
+    def keep(self, what: str, triangles: Ints | Flags) -> None:
         """Drops the triangles (m,) that are False. Raises InputError where none is left."""
         self.count(what, np.count_nonzero(~triangles))
         m = self.mesh
@@ -62,7 +63,7 @@ class Repair:
             m, triangles=m.triangles[triangles], group=m.group[triangles], texture_triangles=texture
         )
 
-    def merge(self, into: np.ndarray) -> None:
+    def merge(self, into: Ints) -> None:
         """Every vertex becomes the one that it is merged `into` (n,)."""
         m = self.mesh
         sewn = None if m.stitch_vertices is None else into[m.stitch_vertices]
@@ -113,7 +114,7 @@ def _drop_invalid(work: Repair) -> None:
         _keep_stitches(work, "stitches that cannot be sewn dropped", good)
 
 
-def _keep_stitches(work: Repair, what: str, good: np.ndarray) -> None:
+def _keep_stitches(work: Repair, what: str, good: Flags) -> None:
     m = work.mesh
     if m.stitch_vertices is None or m.stitch_weight is None:
         return
@@ -149,7 +150,7 @@ def _drop_doubles(work: Repair) -> None:
     work.keep("triangles given twice dropped", first)
 
 
-def _half_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _half_edges(triangles: Ints) -> tuple[Ints, Ints]:
     """Edges (e, 2), smaller vertex first, and the one (3m,) of each half edge from corner i to i + 1."""
     sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges, of = np.unique(sides, axis=0, return_inverse=True)
@@ -173,11 +174,12 @@ def _weld(work: Repair, distance: float) -> None:
     work.merge(into)
 
 
-def _joined(pairs: np.ndarray, count: int) -> np.ndarray:
+def _joined(pairs: Ints, count: int) -> Ints:
     """(n,) the smallest vertex that each is joined to by pairs (p, 2)."""
     graph = sparse.coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     label = connected_components(graph, directed=False)[1]
-    return np.unique(label, return_index=True)[1][label]
+    found: Ints = np.unique(label, return_index=True)[1][label]
+    return found
 
 
 def _without_area(work: Repair) -> None:
@@ -200,7 +202,7 @@ def _without_area(work: Repair) -> None:
     work.left.append(f"{len(flat)} triangles still have no area")
 
 
-def _flip_caps(work: Repair, flat: np.ndarray, longest: np.ndarray) -> None:
+def _flip_caps(work: Repair, flat: Ints, longest: Ints) -> None:
     """Flips the edges at `longest` corners of flat triangles with neighbours that have an area; those without go."""
     m = work.mesh
     t = m.triangles.copy()
@@ -234,7 +236,7 @@ def _flip_caps(work: Repair, flat: np.ndarray, longest: np.ndarray) -> None:
     work.keep("triangles without area dropped", keep)
 
 
-def _patches(triangles: np.ndarray) -> np.ndarray:
+def _patches(triangles: Ints) -> Ints:
     """(m,) the patch of each triangle: connected over edges of two triangles."""
     return np.asarray(igl.bfs_orient(np.ascontiguousarray(triangles, dtype=np.int64))[1]).ravel()
 
@@ -257,7 +259,7 @@ def _drop_flaps(work: Repair) -> None:
     work.count("flaps dropped", dropped)
 
 
-def _flaps(m: RawMesh) -> Iterator[tuple[list[int], np.ndarray]]:
+def _flaps(m: RawMesh) -> Iterator[tuple[list[int], Ints]]:
     """The vertices by which each flap hangs, and its triangles."""
     patch = _patches(m.triangles)
     member = sparse.csr_matrix(
@@ -329,11 +331,12 @@ def _come_apart(work: Repair) -> None:
     )  # fmt: skip
 
 
-def _clashing(triangles: np.ndarray) -> np.ndarray:
+def _clashing(triangles: Ints) -> Ints:
     """Vertices of edges whose two triangles run the same way: where a one-sided surface must be cut."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     directed, count = np.unique(np.column_stack([start, end]), axis=0, return_counts=True)
-    return np.unique(directed[count > 1])
+    found: Ints = np.unique(directed[count > 1])
+    return found
 
 
 def _drop_pieces(work: Repair, least: int) -> None:
@@ -346,7 +349,7 @@ def _drop_pieces(work: Repair, least: int) -> None:
 def _fill(work: Repair, most: int) -> None:
     """Closes border loops of at most `most` edges; the new triangles take group and texture from their borders."""
     m = work.mesh
-    loops, closed = border_loops(m.points, m.triangles), list[np.ndarray]()
+    loops, closed = border_loops(m.points, m.triangles), list[Ints]()
     holes: dict[int, int] = defaultdict(int)
     for loop in loops[::-1]:  # the shortest first
         known = np.concatenate([m.triangles, *closed])

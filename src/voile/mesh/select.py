@@ -127,7 +127,8 @@ def _box(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Fla
         raise InputError(
             f"{where}: {value!r}, allowed: [[xmin, ymin, zmin], [xmax, ymax, zmax]] in metres, min <= max"
         )
-    return ((surface.points >= box[0]) & (surface.points <= box[1])).all(axis=1)
+    found: Flags = ((surface.points >= box[0]) & (surface.points <= box[1])).all(axis=1)
+    return found
 
 
 def _boundary(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:

@@ -71,4 +71,5 @@ def edges_of(topology: Topology, inside: Flags) -> Ints:
     rim = rim[inside[rim].all(axis=1)]
     reached = np.zeros(len(inside), dtype=bool)
     reached[rim] = True
-    return rim if (reached >= inside).all() else edges
+    found: Ints = rim if (reached >= inside).all() else edges
+    return found

@@ -27,4 +27,5 @@ def texture_direction(rest: Rest, surface: Surface, coordinate: str, key: str) -
             "coordinates; allowed: a direction [x, y, z]"
         )
     along = np.einsum("ta,tai->ti", np.linalg.inv(du)[:, "uv".index(coordinate)], edges)
-    return along / np.linalg.norm(along, axis=1, keepdims=True)
+    found: Reals = along / np.linalg.norm(along, axis=1, keepdims=True)
+    return found

@@ -74,8 +74,8 @@ def boundary_loops(triangles: Ints, topology: Topology, points: Reals) -> list[I
             h = follower[h]
         loops.append(np.array(walk, dtype=np.int32))
 
-    def length(loop):
-        return np.linalg.norm(points[np.roll(loop, -1)] - points[loop], axis=1).sum()
+    def length(loop: Ints) -> float:
+        return float(np.linalg.norm(points[np.roll(loop, -1)] - points[loop], axis=1).sum())
 
     return sorted(loops, key=length, reverse=True)
 

@@ -64,7 +64,8 @@ def upright(scene: dict[str, Any]) -> Reals:
 
 def outermost(points: Reals) -> Reals:
     """(k, 3) those of points (n, 3) that lie furthest in one of DIRECTIONS: a film's frame needs no others."""
-    return points[np.unique((points @ DIRECTIONS.T).argmax(axis=0))]
+    found: Reals = points[np.unique((points @ DIRECTIONS.T).argmax(axis=0))]
+    return found
 
 
 def look(points: Reals, up: Reals, view: str | tuple[float, float] | None, size: tuple[int, int]) -> Camera:

@@ -46,7 +46,8 @@ def _octants(body: Body) -> Reals:
     low, high = body.points.min(axis=0), body.points.max(axis=0)
     away = (body.points - (low + high) / 2) / np.where(high > low, high - low, 1.0)
     flat = high - low <= 0.0
-    return np.prod(np.where(flat, 1.0, away), axis=1)
+    found: Reals = np.prod(np.where(flat, 1.0, away), axis=1)
+    return found
 
 
 def draw_bodies(
@@ -101,7 +102,10 @@ def vertex_cells(points: Reals, triangles: Ints, normals: Reals) -> tuple[Array,
         """Corners, midpoints of the sides 01, 12, 20, centre of each triangle."""
         corner = values[triangles]
         middle = (corner + np.roll(corner, -1, axis=1)) / 2
-        return np.concatenate([corner, middle, corner.mean(axis=1, keepdims=True)], axis=1).reshape(-1, 3)
+        found: Reals = np.concatenate([corner, middle, corner.mean(axis=1, keepdims=True)], axis=1).reshape(
+            -1, 3
+        )
+        return found
 
     around = np.array([[0, 3, 6, 5], [1, 4, 6, 3], [2, 5, 6, 4]])
     quads = (7 * np.arange(m)[:, None, None] + around).reshape(-1, 4)

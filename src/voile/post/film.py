@@ -144,7 +144,8 @@ def _steps_in_time(result: Result, fps: float, speed: float | None) -> Ints:
             f"speed = {span * fps / result.n_steps:.1g} would show every step"
         )
     at = times[0] + np.arange(count) * speed / fps
-    return np.searchsorted((times[1:] + times[:-1]) / 2, at)
+    found: Ints = np.searchsorted((times[1:] + times[:-1]) / 2, at)
+    return found
 
 
 def _steps_along_load(result: Result, speed: float | None) -> Ints:
@@ -212,7 +213,8 @@ class _Picture:
             contact.draw_reactions(plotter, points, result.field("reaction", self._stored(step)))
         write_title(plotter, self.titles[step], self.size)
         aim(plotter, self.camera)
-        return plotter.screenshot(return_img=True)
+        found: Ints = plotter.screenshot(return_img=True)
+        return found
 
     def _stored(self, step: int) -> int:
         """The result's step of a frame."""

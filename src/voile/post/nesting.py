@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
+from voile.arrays import Reals
 from voile.errors import InputError, NotConverged
 from voile.results import Pattern, Piece
 
@@ -48,7 +49,7 @@ def efficiency(pattern: Pattern) -> float:
     """Share of the fabric that the pieces use, seam allowances included; the pattern must be laid on one."""
     if pattern.fabric is None:
         raise ValueError("a pattern in rows has no fabric")
-    return sum(_area(piece).area for piece in pattern.pieces) / (pattern.fabric[0] * pattern.fabric[1])
+    return float(sum(_area(piece).area for piece in pattern.pieces) / (pattern.fabric[0] * pattern.fabric[1]))
 
 
 def _check(pattern: Pattern, width: float, gap: float, seconds: float) -> None:
@@ -76,7 +77,7 @@ def _outline(piece: Piece, gap: float) -> list[tuple[float, float]]:
     return [(float(y), float(x)) for x, y in ring]
 
 
-def _moved(piece: Piece, sign: float, by: np.ndarray) -> Piece:
+def _moved(piece: Piece, sign: float, by: Reals) -> Piece:
     """The piece turned by 180 degrees about the origin where sign is -1, then moved."""
     notches = replace(
         piece.notches, points=sign * piece.notches.points + by, inward=sign * piece.notches.inward

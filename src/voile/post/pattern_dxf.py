@@ -1,7 +1,10 @@
 """pattern.dxf: a sewing pattern for apparel CAD, in millimetres, with the layers of ASTM D6673 (AAMA)."""
 
+from __future__ import annotations
+
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,6 +12,9 @@ from voile.arrays import Reals
 from voile.errors import InputError
 from voile.post.pattern_svg import fabric_corners, name_height, seam_labels, slope
 from voile.results import Pattern, Piece
+
+if TYPE_CHECKING:
+    from ezdxf.layouts import BaseLayout, BlockLayout
 
 CUT, TURN, NOTCH, GRAIN, INTERNAL, SEW, TEXT = "1", "2", "4", "7", "8", "14", "15"
 LETTER = 8.0  # mm
@@ -56,7 +62,7 @@ def _block_names(names: list[str]) -> list[str]:
     return [f"{n[: NAME - 4]}-{k:03d}" if short.count(n) > 1 else n for k, n in enumerate(short, 1)]
 
 
-def _draw(block, piece: Piece) -> None:
+def _draw(block: BlockLayout, piece: Piece) -> None:
     for layer, line in (*((CUT, ring) for ring in piece.cut), (SEW, piece.points[piece.outline])):
         block.add_polyline2d((1e3 * line).tolist(), close=True, dxfattribs={"layer": layer})
     for layer, points in ((TURN, piece.points[piece.turns]), (NOTCH, piece.notches.points)):
@@ -74,7 +80,9 @@ def _draw(block, piece: Piece) -> None:
         _write(block, middle - np.array([0.0, 1.5 * k * letters * LETTER]), text, letters)
 
 
-def _write(space, at: Reals | list[float], text: str, letters: float = 1.0, angle: float = 0.0) -> None:
+def _write(
+    space: BaseLayout, at: Reals | list[float], text: str, letters: float = 1.0, angle: float = 0.0
+) -> None:
     """Text centred at a point (mm), turned by an angle (degrees)."""
     from ezdxf.enums import TextEntityAlignment
 

@@ -13,6 +13,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import shapely
 
+from voile.arrays import Reals
 from voile.errors import InputError
 from voile.post.pattern_svg import LAYERS, arrows, mark_length, name_height, notch_lines, seam_labels, slope
 from voile.results import Pattern
@@ -31,7 +32,7 @@ INK = "#1b1f24"
 class Line:
     """A polyline (k, 2) in millimetres, y down."""
 
-    points: np.ndarray
+    points: Reals
     layer: str
 
 
@@ -39,7 +40,7 @@ class Line:
 class Label:
     """Text centred at a point (mm), turned by an angle (degrees)."""
 
-    at: np.ndarray
+    at: Reals
     text: str
     height: float
     angle: float = 0.0
@@ -75,7 +76,7 @@ def write_pages(folder: str | Path, pattern: Pattern, paper: str = "a4") -> list
     return written
 
 
-def sheets_of(pattern: Pattern, size: np.ndarray) -> list[Sheet]:
+def sheets_of(pattern: Pattern, size: Reals) -> list[Sheet]:
     """The sheets of a pattern on paper of `size` (mm), the one with the square and the map first; blank ones are left
     out."""
     low = 1e3 * np.min([piece.cut[0].min(axis=0) for piece in pattern.pieces], axis=0)
@@ -109,14 +110,14 @@ def sheets_of(pattern: Pattern, size: np.ndarray) -> list[Sheet]:
     return [_titled(_cover(lines, sheets, step, room, size), f"page 1 of {pages}", size), *titled]
 
 
-def _drawing(pattern: Pattern, corner: np.ndarray) -> tuple[list[Line], list[Label]]:
+def _drawing(pattern: Pattern, corner: Reals) -> tuple[list[Line], list[Label]]:
     """Everything on one endless sheet, from its upper left corner (mm, y up in the pattern)."""
     lines: list[Line] = []
 
-    def place(points: np.ndarray) -> np.ndarray:
+    def place(points: Reals) -> Reals:
         return (1e3 * points - corner) * [1.0, -1.0]
 
-    def add(layer: str, points: np.ndarray, closed: bool = False) -> None:
+    def add(layer: str, points: Reals, closed: bool = False) -> None:
         lines.append(Line(place(np.vstack([points, points[:1]]) if closed else points), layer))
 
     labels = []
@@ -137,7 +138,7 @@ def _drawing(pattern: Pattern, corner: np.ndarray) -> tuple[list[Line], list[Lab
     return lines, labels
 
 
-def _clipped(line: shapely.LineString, frame: shapely.Polygon) -> Iterator[np.ndarray]:
+def _clipped(line: shapely.LineString, frame: shapely.Polygon) -> Iterator[Reals]:
     """The parts (k, 2) of a line inside a frame."""
     inside = line.intersection(frame)
     for part in shapely.get_parts(inside):
@@ -145,7 +146,7 @@ def _clipped(line: shapely.LineString, frame: shapely.Polygon) -> Iterator[np.nd
             yield shapely.get_coordinates(part)
 
 
-def _marks(size: np.ndarray, row: int, column: int, count: np.ndarray) -> Iterator[Line]:
+def _marks(size: Reals, row: int, column: int, count: Reals) -> Iterator[Line]:
     """Frame and registration marks: in the middle of each overlap, at the sheet's corners and halfway along it."""
     low, high = np.full(2, MARGIN), size - MARGIN
     yield Line(np.array([low, [high[0], low[1]], high, [low[0], high[1]], low]), "mark")
@@ -160,9 +161,7 @@ def _marks(size: np.ndarray, row: int, column: int, count: np.ndarray) -> Iterat
                 yield Line(np.array([[x, y - CROSS], [x, y + CROSS]]), "mark")
 
 
-def _cover(
-    lines: list[Line], sheets: list[Sheet], step: np.ndarray, room: np.ndarray, size: np.ndarray
-) -> Sheet:
+def _cover(lines: list[Line], sheets: list[Sheet], step: Reals, room: Reals, size: Reals) -> Sheet:
     """The test square, and below it a map: where each sheet goes."""
     low = np.array([0.5 * (size[0] - SQUARE), MARGIN + 4 * LETTER])
     square = low + SQUARE * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
@@ -182,7 +181,7 @@ def _cover(
     return Sheet("cover", drawn, labels)
 
 
-def _titled(sheet: Sheet, title: str, size: np.ndarray) -> Sheet:
+def _titled(sheet: Sheet, title: str, size: Reals) -> Sheet:
     at = np.array([0.5 * size[0], MARGIN - 0.9 * LETTER])
     return Sheet(sheet.name, sheet.lines, [*sheet.labels, Label(at, title, LETTER)])
 
@@ -191,7 +190,7 @@ def _letter(k: int) -> str:
     return (_letter(k // 26 - 1) if k >= 26 else "") + chr(ord("A") + k % 26)
 
 
-def _place(name: str) -> np.ndarray:
+def _place(name: str) -> Reals:
     """Column and row of a sheet by its name."""
     row = 0
     letters = name.rstrip("0123456789")
@@ -205,7 +204,7 @@ def _style(layer: str) -> tuple[str, float]:
     return (LAYERS[layer][1] if layer in LAYERS else INK), WIDTHS.get(layer, WIDTHS["sew"])
 
 
-def _svg(sheet: Sheet, size: np.ndarray) -> str:
+def _svg(sheet: Sheet, size: Reals) -> str:
     width, height = size
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
@@ -228,7 +227,7 @@ def _svg(sheet: Sheet, size: np.ndarray) -> str:
     return "\n".join([*parts, "</svg>\n"])
 
 
-def _write_pdf(path: Path, sheets: list[Sheet], size: np.ndarray) -> None:
+def _write_pdf(path: Path, sheets: list[Sheet], size: Reals) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
 

@@ -73,7 +73,8 @@ def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: 
         f1 = d1 / width[:, None]
         f2 = (d2 - shear[:, None] * f1) / height[:, None]
     c11, c12, c22 = (f1 * f1).sum(1), (f1 * f2).sum(1), (f2 * f2).sum(1)
-    return ((c11 + c22) / 2 + np.hypot((c11 - c22) / 2, c12) - 1) / 2
+    found: Reals = ((c11 + c22) / 2 + np.hypot((c11 - c22) / 2, c12) - 1) / 2
+    return found
 
 
 def hinges(triangles: Ints) -> Ints:
@@ -87,7 +88,8 @@ def hinges(triangles: Ints) -> Ints:
     at = np.minimum(np.searchsorted(key, twin, sorter=order), len(key) - 1)
     half = order[at]
     inner = (key[half] == twin) & (start < end)
-    return np.column_stack([start, end, owner, owner[half]])[inner]
+    found: Ints = np.column_stack([start, end, owner, owner[half]])[inner]
+    return found
 
 
 def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
@@ -98,7 +100,8 @@ def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
     axis = points[hinge[:, 1]] - points[hinge[:, 0]]
     length = np.linalg.norm(axis, axis=1)
     turn = np.cross(left, right)
-    return np.arctan2((turn * axis).sum(1) / np.where(length > 0, length, 1), (left * right).sum(1))
+    found: Reals = np.arctan2((turn * axis).sum(1) / np.where(length > 0, length, 1), (left * right).sum(1))
+    return found
 
 
 def boundary_edges(triangles: Ints) -> Ints:

@@ -146,7 +146,8 @@ class Page:
         if self.axis is None:
             return []
         left, width, low, high = self.axis
-        return (left + width * (values - low) / (high - low)).round(5).tolist()
+        found: list[float] = (left + width * (values - low) / (high - low)).round(5).tolist()
+        return found
 
 
 def _left_out(result: Result, shapes: Shown) -> list[str]:

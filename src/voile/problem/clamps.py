@@ -78,7 +78,7 @@ def _lies_at_rest(shell: Shell, triangle: Ints, corner: Ints) -> Flags:
     return there
 
 
-def _plane_of_symmetry(free, along, conormal, loose) -> tuple[Reals, Flags]:
+def _plane_of_symmetry(free: Flags, along: Reals, conormal: Reals, loose: Reals) -> tuple[Reals, Flags]:
     """The one supported axis towards the conormal (k, 3), and where (k,) an edge lies in the plane across it
     at an angle that is not right (nothing else to hold: loose) but less than 45 degrees off."""
     axis = ~free * np.where(conormal < 0.0, -1.0, 1.0)
@@ -88,4 +88,5 @@ def _plane_of_symmetry(free, along, conormal, loose) -> tuple[Reals, Flags]:
 
 
 def _unit(v: Reals) -> Reals:
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+    found: Reals = v / np.linalg.norm(v, axis=1, keepdims=True)
+    return found

@@ -33,7 +33,8 @@ class Constraints:
     @property
     def fixed(self) -> Flags:
         """(dofs,) marks those that supports hold alone."""
-        return np.diff(self.matrix.indptr) == 0
+        found: Flags = np.diff(self.matrix.indptr) == 0
+        return found
 
 
 def build_constraints(shell: Shell, directors: bool) -> Constraints:
@@ -122,11 +123,13 @@ def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: Flags) -> Reals:
         pull = 1e-9 * sp.identity(int(free.sum()), format="csc")
         home[:, axis] = held
         home[free, axis] = spsolve(system[free][:, free] + pull, load[free] + 1e-9 * start[free])
-    return sewing @ home - shell.points
+    found: Reals = sewing @ home - shell.points
+    return found
 
 
 def _means(sewing: sp.csr_matrix, x: Reals) -> Reals:
     """Mean of x over the vertices joined to each base vertex."""
     joined = sewing.copy()
     joined.data = (joined.data == 1.0).astype(float)
-    return (joined.T @ x) / np.asarray(joined.sum(axis=0)).ravel()
+    found: Reals = (joined.T @ x) / np.asarray(joined.sum(axis=0)).ravel()
+    return found

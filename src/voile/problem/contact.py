@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -93,7 +94,8 @@ def _on_itself(problem: Problem, layers: Layers, movable: Flags) -> SelfContact:
     everything[place] = np.arange(len(place))
 
     def gather(rows: Array) -> Array:
-        return np.concatenate(comm.allgather(rows[own]))[everything]
+        found: Array = np.concatenate(comm.allgather(rows[own]))[everything]
+        return found
 
     start: Reals = gather(part.points + part.closure[: part.points.size].reshape(-1, 3))
     free: Flags = gather(movable)
@@ -129,7 +131,9 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
     )
 
 
-def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, Array]:
+def cone_fields(
+    reaction: Reals, gap: Reals, state: Reals, along: Reals, friction: Reals, left: Reals
+) -> dict[str, Array]:
     """The fields of `contact_fields`; friction is infinite without active contact."""
     return {
         "reaction": reaction,
@@ -141,7 +145,7 @@ def cone_fields(reaction, gap, state, along, friction, left) -> dict[str, Array]
     }
 
 
-def contact_report(problem: Problem, y: PETSc.Vec) -> dict:
+def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
     """Figures of the contact over all ranks: active, stick, slip (vertices), max_penetration (m), friction_error
     (mismatch of the laws over the reactions' norm), self_contacts (pairs that touch), and of each obstacle name,
     vertices, force (N), moment about the origin (N m) on the shell and contact area (m^2, of the rest shape)."""

@@ -36,7 +36,8 @@ class Supports:
         moved = np.zeros_like(self.points)
         for rows, motion in self.motions:
             moved[rows] += motion.between(self.points[rows], start, end)
-        return self.carry @ moved.ravel()
+        found: Reals = self.carry @ moved.ravel()
+        return found
 
     def of(self, dofs: Ints) -> "Supports":
         """What concerns some degrees of freedom."""

@@ -50,4 +50,5 @@ def _normals(points: Reals, corners: Ints) -> Reals:
     """(n, 3) unit normals of the vertices; zero where there is none."""
     normals = np.zeros_like(points)
     np.add.at(normals, corners, area_vectors(points, corners)[:, None])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    found: Reals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    return found

@@ -144,7 +144,8 @@ def _charts(shell: Shell) -> Ints:
     r, n = shell.rest_triangles, len(shell.rest_points)
     pair = np.concatenate([r[:, :2], r[:, 1:]])
     graph = sp.csr_matrix((np.ones(len(pair)), (pair[:, 0], pair[:, 1])), shape=(n, n))
-    return connected_components(graph, directed=False)[1][r[:, 0]]
+    found: Ints = connected_components(graph, directed=False)[1][r[:, 0]]
+    return found
 
 
 def _supports(shell: Shell) -> Ints:
@@ -259,4 +260,5 @@ class _Seams:
 def _closing(shell: Shell, closed: Reals) -> Reals:
     """(n, 3) displacement to closed (n, 3) m, with all seams closed exactly."""
     sewing, base = sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(closed))
-    return sewing @ closed[base] - shell.points
+    found: Reals = sewing @ closed[base] - shell.points
+    return found

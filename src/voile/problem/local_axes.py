@@ -44,7 +44,8 @@ def held_along(axes: Reals | None, fixed: Flags) -> Reals:
     axes."""
     if axes is None:
         return fixed[:, :, None] * np.eye(3)
-    return np.einsum("nai,na,naj->nij", axes, fixed.astype(float), axes)
+    found: Reals = np.einsum("nai,na,naj->nij", axes, fixed.astype(float), axes)
+    return found
 
 
 def principal(forms: Reals) -> tuple[Reals, Flags]:
@@ -82,4 +83,5 @@ def inverse(forms: Reals) -> Reals:
     """(n, 3, 3) pseudo-inverses of sums of projections (n, 3, 3)."""
     axes, held = principal(forms)
     values = np.einsum("nai,nij,naj->na", axes, forms, axes)
-    return np.einsum("nai,na,naj->nij", axes, held / np.where(held, values, 1.0), axes)
+    found: Reals = np.einsum("nai,na,naj->nij", axes, held / np.where(held, values, 1.0), axes)
+    return found

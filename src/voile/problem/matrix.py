@@ -112,7 +112,8 @@ class Assembly:
         pair = np.sort(np.stack([vertex[:, first], vertex[:, second]]).reshape(2, -1), axis=0).astype(
             np.int64
         )
-        return np.unique(pair[0] * (1 << 32) + pair[1])
+        found: Ints = np.unique(pair[0] * (1 << 32) + pair[1])
+        return found
 
     def _widened(self, start: Ints, column: Ints) -> tuple[Ints, Ints]:
         """A pattern of this rank's rows with the entries of coupled vertices."""

@@ -56,7 +56,8 @@ class MeanElastic(Term):
 
     def forces(self, at: Point) -> Reals:
         parts = [weight * elastic.forces(there) for elastic, there, _, weight in self._places(at) if weight]
-        return np.sum(parts, axis=0)
+        found: Reals = np.sum(parts, axis=0)
+        return found
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         try:
@@ -103,7 +104,8 @@ class MeanTerm(Term):
 
     def forces(self, at: Point) -> Reals:
         places = _places(self.start, at, self.nodes)
-        return np.sum([weight * self.term.forces(there) for there, _, weight in places], axis=0)
+        found: Reals = np.sum([weight * self.term.forces(there) for there, _, weight in places], axis=0)
+        return found
 
     def blocks(self, at: Point, kind: str) -> Blocks:
         places = list(_places(self.start, at, self.nodes))

@@ -56,8 +56,10 @@ def turn_derivative(corner: Reals, motion: Reals) -> Reals:
     area, length = _dot(normal, normal), _dot(e0, e0)
     relative = 2.0 * _dot(normal, d_normal) / area + _dot(e0, de0) / length
     change = (_dot(de0, e) + _dot(e0, de)) * normal + _dot(e0, e) * (d_normal - relative * normal)
-    return -change / (area * np.sqrt(length))
+    found: Reals = -change / (area * np.sqrt(length))
+    return found
 
 
 def _dot(a: Reals, b: Reals) -> Reals:
-    return np.einsum("...i,...i->...", a, b)[..., None]
+    found: Reals = np.einsum("...i,...i->...", a, b)[..., None]
+    return found

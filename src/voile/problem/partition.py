@@ -4,7 +4,10 @@ Owner computes: a rank evaluates every triangle that contributes to one of its u
 the hinges), so assembly needs no communication and no rank holds more than its part; rank 0 reads the input.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -153,7 +156,8 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
         failure = comm.bcast(None)
         if failure is not None:
             raise failure
-        return comm.recv(source=0)
+        found: Part = comm.recv(source=0)
+        return found
     try:
         constraints = build_constraints(shell, directors)
         clamps, angles = held_directors(shell, directors)
@@ -279,10 +283,18 @@ def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numberi
     for _ in range(2):  # across a hinge: the vertex opposite; then the ring that those hinges need
         other = topology.across
         ring = ring | (ring[np.maximum(other, 0) // 3] & (other >= 0)).any(axis=1)
-    return numbering.triangle_order[ring[numbering.triangle_order]]
+    found: Ints = numbering.triangle_order[ring[numbering.triangle_order]]
+    return found
 
 
-def gathered(problem, local):
+class Shared(Protocol):
+    """What ranks share: a problem, or as much of one as is there."""
+
+    comm: MPI.Comm
+    part: Part
+
+
+def gathered(problem: Shared, local: Reals) -> Reals | None:
     """(n, ...) values in the input's order on rank 0 of each rank's local vertices; None elsewhere."""
     own = problem.part.owned_vertices
     pieces = problem.comm.gather((problem.part.vertex[own], local[own]))

@@ -210,7 +210,8 @@ class Problem:
     def reactions(self, y: PETSc.Vec) -> Reals:
         """(local vertices, 3) forces that the supports exert on the shell (N)."""
         at, count = self.point(y), self.layout.vertices
-        return -np.einsum("nij,nj->ni", self.kept, self.inner_forces(at)[:count].reshape(-1, 3))
+        found: Reals = -np.einsum("nij,nj->ni", self.kept, self.inner_forces(at)[:count].reshape(-1, 3))
+        return found
 
     def inner_forces(self, at: Point) -> Reals:
         """(local dofs,) forces of the shell itself, its springs and its loads (N; N m on directors)."""
@@ -365,10 +366,10 @@ class Problem:
         return self.point(y).positions
 
 
-def _kept(part: Part) -> np.ndarray:
+def _kept(part: Part) -> Reals:
     """Problem.kept: what C leaves out of the identity."""
     vertices = len(part.vertex)
     free = np.asarray(part.matrix[: 3 * vertices] @ part.direction).reshape(-1, 3, 3)
-    kept = np.eye(3) - free
+    kept: Reals = np.eye(3) - free
     kept[np.abs(kept) < ROUND_OFF] = 0.0
     return kept

@@ -58,7 +58,8 @@ def _second_forms(part: Part, area: Reals, gradients: Reals) -> Reals:
         forms[:, i, 3 + i] += other[:, i] * jumps[near, k, k]
         forms[:, i, (i + 2) % 3] += other[:, i] * jumps[near, k, (k + 1) % 3]
         forms[:, i, (i + 1) % 3] += other[:, i] * jumps[near, k, (k + 2) % 3]
-    return 2.0 * (height / length)[:, :, None] * forms
+    found: Reals = 2.0 * (height / length)[:, :, None] * forms
+    return found
 
 
 def _bending(part: Part, gradients: Reals, mu: Reals, lam: Reals) -> Reals:
@@ -68,4 +69,5 @@ def _bending(part: Part, gradients: Reals, mu: Reals, lam: Reals) -> Reals:
     trace = np.stack([a + 2.0 * b + c, a, c], axis=1)
     mixed = (np.ones((3, 3)) - np.eye(3)) * (a * c - b * b)[:, None, None]  # of the determinant
     square = (2.0 * mu + lam)[:, None, None] * trace[:, :, None] * trace[:, None, :]
-    return square - 2.0 * mu[:, None, None] * mixed
+    found: Reals = square - 2.0 * mu[:, None, None] * mixed
+    return found

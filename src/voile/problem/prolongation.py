@@ -27,13 +27,15 @@ class Prolongation:
 
     def interpolate(self, field: Reals) -> Reals:
         """(nf, ...) a coarse field (nc, ...), linear in every coarse triangle."""
-        return np.einsum("nk,nk...->n...", self.weights, field[self.corners])
+        found: Reals = np.einsum("nk,nk...->n...", self.weights, field[self.corners])
+        return found
 
     def gather(self, load: Reals) -> Reals:
         """(nc, ...) coarse loads that do the work of fine ones (nf, ...): the transpose of `interpolate`."""
         fine = np.repeat(np.arange(len(self.corners)), 3)
         shape = len(self.kept), len(self.corners)
-        return sp.csr_matrix((self.weights.ravel(), (self.corners.ravel(), fine)), shape=shape) @ load
+        found: Reals = sp.csr_matrix((self.weights.ravel(), (self.corners.ravel(), fine)), shape=shape) @ load
+        return found
 
     def restrict(self, field: Reals) -> Reals:
         """(nc, ...) a fine field (nf, ...) at the kept vertices."""
@@ -49,7 +51,7 @@ class Prolongation:
         start = start_shape(self._fine)
         home = start[self.kept]
         beyond = start - self._smooth(home)
-        fine = self._smooth(coarse) + np.einsum("nij,nj->ni", self._turns(home, coarse), beyond)
+        fine: Reals = self._smooth(coarse) + np.einsum("nij,nj->ni", self._turns(home, coarse), beyond)
         fine[self.kept] = coarse
         if load_factor is not None:
             fine = np.where(self._fine.fixed, start + load_factor * self._fine.motion, fine)

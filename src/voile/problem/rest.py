@@ -7,8 +7,9 @@ import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
+from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
-from voile.problem.problem import Blocks, Problem
+from voile.problem.problem import Problem
 
 STILL = 0.1  # weight of panels' mean square displacement over the size, beside that of their strain
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
@@ -34,7 +35,8 @@ def rest_areas(part: Part) -> tuple[Reals, Reals]:
 def rest_edges(part: Part) -> Reals:
     """(m, 3) lengths of the rest triangles' edges."""
     x = part.rest_points[part.rest_corners]
-    return np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
+    found: Reals = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2)
+    return found
 
 
 class RestDerivative:
@@ -58,7 +60,8 @@ class RestDerivative:
     def middle(self) -> Reals:
         """(m, 6, 6) second derivatives of the energy by the invariants and the rest invariants. They cost more than
         a forward solve's tangent, so `pull` does without, for a gradient alone."""
-        return self.kernel.mixed(*self.shape)[0]
+        found: Reals = self.kernel.mixed(*self.shape)[0]
+        return found
 
     def blocks(self) -> Reals:
         """(m, 21, 21): rows forces, columns rest positions; those of directors are zero."""
@@ -70,7 +73,7 @@ class RestDerivative:
     def push(self, motion: Reals) -> Reals:
         """(m, 21) forces (N) from rest displacements (m, 18) of corners and vertices across (m)."""
         rate = np.matmul(self.middle, np.matmul(self.right, motion[:, :, None]))
-        force = np.matmul(rate.transpose(0, 2, 1), self.left)[:, 0]
+        force: Reals = np.matmul(rate.transpose(0, 2, 1), self.left)[:, 0]
         force[:, :9] -= np.sum(self.masses * motion[:, :9], axis=1)[:, None] * self.gravity
         return force
 
@@ -81,7 +84,7 @@ class RestDerivative:
             rate = np.matmul(rate[:, None], self.middle)[:, 0]
         else:
             rate = self.kernel.mixed_along(*self.shape, rate)
-        slope = np.matmul(rate[:, None], self.right)[:, 0]
+        slope: Reals = np.matmul(rate[:, None], self.right)[:, 0]
         slope[:, :9] -= (motion[:, :9] @ self.gravity)[:, None] * self.masses
         return slope
 
@@ -226,7 +229,8 @@ class PanelRest:
             z.array = (coordinates - self.base).ravel()
 
     def _everywhere(self, z: PETSc.Vec) -> Reals:
-        return self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
+        found: Reals = self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
+        return found
 
     def set(self, z: PETSc.Vec) -> None:
         """Gives the problem the panels of z, with their masses."""

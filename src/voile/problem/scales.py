@@ -29,7 +29,7 @@ def force_floor(problem: Problem) -> float:
     part = problem.part
     stiffness = part.weight * part.fabric[0] * part.fabric[1]
     total = problem.comm.allreduce(float(stiffness @ stiffness))
-    return 1e-14 * float(np.sqrt(total)) * problem.size() / max(np.sqrt(problem.unknowns), 1.0)
+    return float(1e-14 * float(np.sqrt(total)) * problem.size() / max(np.sqrt(problem.unknowns), 1.0))
 
 
 def round_off(problem: Problem, y: PETSc.Vec) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -25,7 +26,7 @@ class Section:
 
 def section_table(
     problem: Problem, y: PETSc.Vec, shell: Shell | None, sections: Sequence[Section]
-) -> list[dict] | None:
+) -> list[dict[str, Any]] | None:
     """On rank 0 (which has the shell) per section its name, the force (N) and the moment (N m) that the rest of the
     shell exerts on the vertices inside.
 
@@ -37,7 +38,7 @@ def section_table(
     elastic = problem.elastic.forces(at)[: problem.layout.vertices].reshape(-1, 3)
     forces, x = gathered(problem, elastic), gathered(problem, problem.positions(y))
     pieces = problem.comm.gather(clamp_moments(problem, y))
-    if pieces is None or shell is None:
+    if pieces is None or shell is None or forces is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     sewing = seams_of(shell)
@@ -60,4 +61,5 @@ def _next_to(shell: Shell, x: Reals, inside: Flags) -> Reals:
     edges = shell.topology.edges
     cut = edges[inside[edges].any(axis=1) & ~inside[edges].all(axis=1)]
     rim = np.unique(cut[inside[cut]]) if len(cut) else np.flatnonzero(inside)
-    return x[rim].mean(axis=0)
+    found: Reals = x[rim].mean(axis=0)
+    return found

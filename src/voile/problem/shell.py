@@ -148,13 +148,15 @@ def _through_seams(shell: Shell, label: Ints) -> tuple[Topology, Ints]:
 
 def triangle_areas(points: Reals, triangles: Ints) -> Reals:
     """(m,) areas of triangles (m, 3) of points (n, 3)."""
-    return 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
+    found: Reals = 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
+    return found
 
 
 def area_vectors(points: Reals, triangles: Ints) -> Reals:
     """(m, 3) normals of triangles (m, 3) of points (n, 3), twice as long as their areas."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+    found: Reals = np.cross(b - a, c - a)
+    return found
 
 
 def hilbert_order(points: Reals, bits: int = 16) -> Ints:
@@ -190,4 +192,5 @@ def seam_gaps(shell: Shell) -> Reals:
     """(s,) distance of the start shape's seams (m), for each sewn vertex."""
     x, w = shell.points, shell.weight[:, None]
     apart = x[shell.slave] - (1.0 - w) * x[shell.first] - w * x[shell.second]
-    return np.linalg.norm(apart, axis=1)
+    found: Reals = np.linalg.norm(apart, axis=1)
+    return found

@@ -71,7 +71,8 @@ def _edges(corner: Reals) -> Reals:
 
 
 def _area(edges: Reals) -> Reals:
-    return 0.5 * np.linalg.norm(np.cross(edges[2], -edges[1]), axis=1)
+    found: Reals = 0.5 * np.linalg.norm(np.cross(edges[2], -edges[1]), axis=1)
+    return found
 
 
 def _frame(edges: Reals) -> Reals:
@@ -90,7 +91,8 @@ def _slopes(bending: str, angles: Reals) -> Reals:
 def _in_space(n: Reals, edges: Reals) -> Reals:
     """(m, 3, 3) n^ab d_a d_b of components (m, 3) 11, 22, 12."""
     d = np.stack([edges[2], -edges[1]], axis=1)
-    return np.einsum("tab,tai,tbj->tij", n[:, [[0, 2], [2, 1]]], d, d)
+    found: Reals = np.einsum("tab,tai,tbj->tij", n[:, [[0, 2], [2, 1]]], d, d)
+    return found
 
 
 def _green(edges: Reals, rest: Reals) -> Reals:
@@ -99,7 +101,8 @@ def _green(edges: Reals, rest: Reals) -> Reals:
     metric = np.einsum("tai,tbi->tab", home, home)
     grown = 0.5 * (np.einsum("tai,tbi->tab", now, now) - metric)
     dual = np.linalg.solve(metric, home)
-    return np.einsum("tab,tai,tbj->tij", grown, dual, dual)
+    found: Reals = np.einsum("tab,tai,tbj->tij", grown, dual, dual)
+    return found
 
 
 def _along_axes(strain: Reals, rest: Reals, warp: Reals) -> Reals:
@@ -122,7 +125,8 @@ def _principal(tensor: Reals, frame: Reals) -> Reals:
 
 def _von_mises(principal: Reals) -> Reals:
     first, second = principal.T
-    return np.sqrt(first**2 - first * second + second**2)
+    found: Reals = np.sqrt(first**2 - first * second + second**2)
+    return found
 
 
 def _six(tensor: Reals) -> Reals:

@@ -1,6 +1,7 @@
 """What supports and clamps exert on a shell, and its sums over each [[fix]]."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,7 +24,8 @@ def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
     forces = problem.inner_forces(at)[:count]
     if problem.contact:
         forces += problem.contact.force(at.positions, problem.time, frozen=False).ravel()
-    return -np.einsum("nij,nj->ni", problem.kept, forces.reshape(-1, 3))
+    found: Reals = -np.einsum("nij,nj->ni", problem.kept, forces.reshape(-1, 3))
+    return found
 
 
 def driven(problem: Problem) -> Flags:
@@ -51,13 +53,13 @@ def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
 
 def support_table(
     problem: Problem, y: PETSc.Vec, shell: Shell | None, holds: Sequence[Hold] | None
-) -> list[dict] | None:
+) -> list[dict[str, Any]] | None:
     """On rank 0 (which has shell and holds) per [[fix]] its name, force (N) on the shell and moment (N m) about the
     centroid of its vertices as they are now. What several hold along one direction counts with the first; what is sewn
     to a held vertex counts with that."""
     forces, x = gathered(problem, support_forces(problem, y)), gathered(problem, problem.positions(y))
     pieces = problem.comm.gather(clamp_moments(problem, y))
-    if pieces is None or shell is None or holds is None:
+    if pieces is None or shell is None or holds is None or forces is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     joined, loose = seams_of(shell).astype(bool), np.ones(len(ends), dtype=bool)

@@ -104,7 +104,8 @@ def _pieces(shell: Shell) -> Ints:
         pairs.append(shell.bars[:, :2].astype(np.int64))
     pair = np.concatenate(pairs)
     graph = sp.csr_matrix((np.ones(len(pair)), (pair[:, 0], pair[:, 1])), shape=(n, n))
-    return connected_components(graph, directed=False)[1]
+    found: Ints = connected_components(graph, directed=False)[1]
+    return found
 
 
 def _free_modes(shell: Shell, vertices: Ints) -> Reals:
@@ -125,7 +126,8 @@ def _free_modes(shell: Shell, vertices: Ints) -> Reals:
     rows.append(np.column_stack([np.zeros_like(along), along]))
     gram = sum(r.T @ r for r in rows)
     values, vectors = np.linalg.eigh(gram)
-    return vectors[:, values < 1e-12 * max(values[-1], 1.0)].T
+    found: Reals = vectors[:, values < 1e-12 * max(values[-1], 1.0)].T
+    return found
 
 
 def _describe(shell: Shell, modes: Reals) -> str:

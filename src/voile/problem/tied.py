@@ -27,7 +27,8 @@ class Springs:
 
     def extension(self, x: Reals) -> Reals:
         """(p, 3) m from rest at positions x (n, 3)."""
-        return np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.rest
+        found: Reals = np.einsum("ps,psi->pi", self.weight, x[self.vertex]) - self.rest
+        return found
 
 
 class TiedContact(Term):

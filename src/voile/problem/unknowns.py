@@ -70,13 +70,15 @@ class Unknowns:
 
     def collect(self, dofs: Reals) -> Reals:
         """C^T of local forces: (own unknowns,)."""
-        return self._collect @ dofs
+        found: Reals = self._collect @ dofs
+        return found
 
     def diagonal(self, dofs: Reals) -> Reals:
         """(own unknowns,) diagonal of C^T D C for a diagonal D over local degrees of freedom."""
         squares = self._collect.copy()
         squares.data **= 2
-        return squares @ dofs
+        found: Reals = squares @ dofs
+        return found
 
     # ---- the origin ----
 
@@ -113,7 +115,7 @@ class Unknowns:
         y.array[:] = self.along(dofs)
         return True
 
-    def along(self, dofs: np.ndarray) -> np.ndarray:
+    def along(self, dofs: Reals) -> Reals:
         """(own unknowns,) components of local degrees of freedom (dofs,) along each: what C would make of them, where
         it does."""
         nodes, part = dofs[: self.vertices].reshape(-1, 3), self.part

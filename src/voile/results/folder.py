@@ -230,6 +230,7 @@ def stored_text(result: Path) -> str:
 
     try:
         with intact(result), h5py.File(result, "r", locking=False) as file:
-            return dataset(result, file, "voile/scene", "indices", 0)[()].tobytes().decode("utf-8")
+            found: str = dataset(result, file, "voile/scene", "indices", 0)[()].tobytes().decode("utf-8")
+            return found
     except InputError:
         return ""

@@ -78,7 +78,7 @@ def _values(group: h5py.Group, name: str, size: int | None = None) -> Array:
     found = member(Path(group.file.filename), group, name)
     if not isinstance(found, h5py.Dataset):
         raise InputError(f"{group.name.rstrip('/')}/{name} is missing")
-    values = np.atleast_1d(found[()]).ravel()
+    values: Array = np.atleast_1d(found[()]).ravel()
     if values.dtype.kind not in "iuf":
         raise InputError(f"{group.name.rstrip('/')}/{name} must hold numbers")
     if size is not None and len(values) != size:

@@ -239,7 +239,7 @@ class Result:
 
     def _figures(self, path: str) -> Reals:
         with intact(self.path):
-            values = self._data(path, "reals", 0)[: self.n_steps]
+            values: Reals = self._data(path, "reals", 0)[: self.n_steps]
         check_length(self.path, path, len(values), self.n_steps)
         return values
 
@@ -279,7 +279,8 @@ class Result:
 
     def _read(self, path: str, kind: str = "numbers", columns: int | None = None) -> Array:
         with intact(self.path):
-            return self._data(path, kind, columns)[()]
+            found: Array = self._data(path, kind, columns)[()]
+            return found
 
     def _indices(self, path: str, columns: int, count: int, rows: int | None = None) -> Ints:
         """Indices below a count; rows: how many there must be."""
@@ -298,7 +299,7 @@ class Result:
     def _rows(self, path: str, begin: int, count: int, columns: int, finite: bool = True) -> Array:
         """Rows of a step."""
         with intact(self.path):
-            found = self._data(path, "numbers", columns)[max(0, begin) : max(0, begin) + count]
+            found: Array = self._data(path, "numbers", columns)[max(0, begin) : max(0, begin) + count]
         check_length(self.path, path, len(found) if begin >= 0 else 0, count)
         if finite:
             check_finite(self.path, path, found)

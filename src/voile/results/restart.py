@@ -106,7 +106,7 @@ def begun(folder: Path, comm: MPI.Comm) -> bool:
             raise InputError(f"{folder}: nothing there that a run could go on from (--resume)")
         return (folder / "restart" / "last").exists()
 
-    return comm.bcast(on_root(comm, look))
+    return bool(comm.bcast(on_root(comm, look)))
 
 
 def newest_step(folder: Path, comm: MPI.Comm) -> int:
@@ -127,4 +127,4 @@ def newest_step(folder: Path, comm: MPI.Comm) -> int:
             )
         return step
 
-    return comm.bcast(on_root(comm, read))
+    return int(comm.bcast(on_root(comm, read)))

@@ -55,7 +55,7 @@ class Slabs:
         return slab
 
 
-def _min():
+def _min() -> MPI.Op:
     from mpi4py import MPI
 
     return MPI.MIN

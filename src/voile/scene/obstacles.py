@@ -49,10 +49,10 @@ class Body:
         shape.check(self)
 
 
-def _geometry() -> list[tuple[str, Any, dataclasses.Field]]:
+def _geometry() -> list[tuple[str, Any, dataclasses.Field[Any]]]:
     """A field for each key of the shapes, none of them required; its meaning says whose it is. Raises TypeError where
     shapes mean different kinds of values by one key."""
-    fields: dict[str, dataclasses.Field] = {}
+    fields: dict[str, dataclasses.Field[Any]] = {}
     meanings: dict[str, dict[str, list[str]]] = {}
     for word, shape in SHAPES.items():
         for name, own in shape.scene_keys().items():

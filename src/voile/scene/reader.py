@@ -48,7 +48,8 @@ def read_scene(
     if told and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"# --set {override}\n" for override in told)
-    return dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
+    found: Scene = dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
+    return found
 
 
 @dataclasses.dataclass(frozen=True)

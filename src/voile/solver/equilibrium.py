@@ -133,7 +133,7 @@ def _carried_through(problem: Problem, y: PETSc.Vec) -> bool:
     if not problem.everywhere(np.array_equal(began, contact.history.reference)):
         return False  # the step is on its way
     share = contact.free_share(began, problem.positions(y))
-    return problem.comm.allreduce(share, op=MPI.MIN) < 1.0
+    return bool(problem.comm.allreduce(share, op=MPI.MIN) < 1.0)
 
 
 class Minimum:

@@ -92,7 +92,7 @@ def factorisation_error(pc: PETSc.PC) -> int:
     """MUMPS' error code of the last factorisation, negative (users' guide, INFOG(1)); 0 without one."""
     if pc.getType() not in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU) or pc.getFactorSolverType() != "mumps":
         return 0
-    return min(pc.getFactorMatrix().getMumpsInfog(1), 0)
+    return int(min(pc.getFactorMatrix().getMumpsInfog(1), 0))
 
 
 def negative_pivots(pc: PETSc.PC) -> int | None:
@@ -163,7 +163,7 @@ class LinearSolver:
         pc = self.ksp.pc
         percent = 2 * max(pc.getFactorMatrix().getMumpsIcntl(14), 20)
         PETSc.Options(pc.getOptionsPrefix() or "").setValue("mat_mumps_icntl_14", percent)
-        return percent <= MOST_WORK_SPACE
+        return bool(percent <= MOST_WORK_SPACE)
 
 
 def factored(matrix: PETSc.Mat, counts: Counts | None = None, prefix: str = INERTIA) -> LinearSolver:

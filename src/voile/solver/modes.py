@@ -46,7 +46,8 @@ class Modes:
     @property
     def frequencies(self) -> Reals:
         """Hz, of values omega^2 (1/s^2); negative where the mode grows, at the rate 2 pi times it."""
-        return np.sign(self.values) * np.sqrt(np.abs(self.values)) / (2.0 * np.pi)
+        found: Reals = np.sign(self.values) * np.sqrt(np.abs(self.values)) / (2.0 * np.pi)
+        return found
 
 
 def vibrations(
@@ -258,7 +259,7 @@ class Pencil:
     def shapes(self, values: Reals, modes: list[PETSc.Vec]) -> list[Reals]:
         """(local vertices, 3) the modes' displacements, largest 1. Those of one multiple eigenvalue, and all signs, are
         chosen by fixed fields: the same on any number of ranks."""
-        mass, found = self.problem.mass_matrix(rotary=False), list[np.ndarray]()
+        mass, found = self.problem.mass_matrix(rotary=False), list[Reals]()
         begin = 0
         while begin < len(modes):
             end = begin + 1
@@ -288,7 +289,8 @@ class Pencil:
     def _unit(self, mode: PETSc.Vec) -> Reals:
         shape = self.problem.motion(mode)
         largest = np.linalg.norm(shape, axis=1).max(initial=0.0)
-        return shape / self.problem.comm.allreduce(float(largest), op=MPI.MAX)
+        found: Reals = shape / self.problem.comm.allreduce(float(largest), op=MPI.MAX)
+        return found
 
     def _fields(self, count: int) -> list[PETSc.Vec]:
         """Random displacements, vertex by vertex the same on any number of ranks."""
@@ -302,5 +304,6 @@ def _cut(values: Reals, count: int) -> float | None:
     """Between two different eigenvalues, at least `count` of them below it; None where there are not so many."""
     for k in range(count, len(values)):
         if values[k] - values[k - 1] > ALIKE * abs(values[k]):
-            return 0.5 * (values[k] + values[k - 1])
+            found: float | None = 0.5 * (values[k] + values[k - 1])
+            return found
     return None

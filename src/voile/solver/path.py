@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from petsc4py import PETSc
 
@@ -47,7 +47,7 @@ class LoadStep:
     tolerance: float
     energies: dict[str, float]
     negative: int | None = None
-    contact: dict | None = None
+    contact: dict[str, Any] | None = None
     method: str = "newton"
     reason: str = "residual below tolerance"
     displacement: float | None = None

@@ -43,7 +43,8 @@ class Resistance:
     def gather(self, force: PETSc.Vec) -> Reals:
         """(unknowns here,) of a vector's, a copy."""
         self._scatter.scatter(force, self._near, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-        return self._near.array.copy()
+        found: Reals = self._near.array.copy()
+        return found
 
 
 def _used(problem: Problem) -> tuple[Reals, Ints]:

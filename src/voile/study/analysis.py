@@ -1,6 +1,7 @@
 """What a study's runs tell: errors and what they are made of, the Pareto front, and what to choose."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from voile.study.execute import CONVERGED, Record
 from voile.study.plan import Plan, Run, changed
@@ -101,7 +102,7 @@ def _origin(plan: Plan, records: list[Record]) -> int:
     first = {name: repr(values[0]) for name, values in plan.study.vary.items() if name not in (*SIZED, *ENDS)}
     first = {name: value for name, value in first.items() if changes(name) in (MODEL, DISCRETE, ITERATION)}
 
-    def rank(k: int) -> tuple:
+    def rank(k: int) -> tuple[Any, ...]:
         now = plan.runs[k].effective
         others = sum(repr(now[name]) != value for name, value in first.items())
         fine = [-float(now.get(REFINE) or 0), float(now.get(TIME_STEP) or 0)]

@@ -66,7 +66,7 @@ class Runs:
             raise InputError(
                 f"{out}: cannot write a study there ({why}); a writable folder expected"
             ) from None
-        self.children: set[subprocess.Popen] = set()
+        self.children: set[subprocess.Popen[bytes]] = set()
         self.stopping = False
 
     def folder(self, run: Run) -> Path:
@@ -231,7 +231,7 @@ def launcher(given: str, ranks: int) -> list[str]:
     return [program, *crowded, "-n", str(ranks)]
 
 
-def _wait(child: subprocess.Popen, limit: float) -> tuple[int, float]:
+def _wait(child: subprocess.Popen[bytes], limit: float) -> tuple[int, float]:
     """Exit code and CPU seconds of a process, ended after `limit` seconds (0: never)."""
     ends = time.monotonic() + limit if limit else None
     while True:

@@ -107,7 +107,7 @@ def _selected(surface: Surface, point: Point) -> Ints:
 
 
 def values(
-    measures: tuple[Measure, ...], scene: Scene, folder: Path, summary: dict
+    measures: tuple[Measure, ...], scene: Scene, folder: Path, summary: dict[str, Any]
 ) -> dict[str, float | None]:
     """Each measure's value in the results of a scene; None for one that is not there."""
     surface = surface_of(scene) if any(m.point for m in measures) else None
@@ -123,7 +123,7 @@ def values(
     return found
 
 
-def figure(summary: dict, name: str) -> float | None:
+def figure(summary: dict[str, Any], name: str) -> float | None:
     """A figure of a summary by its dotted name, lists by index or their length as vectors; energy is the sum."""
     node: Any = summary
     for part in name.split("."):
@@ -145,12 +145,13 @@ def _at_point(point: Point, surface: Surface, folder: Path) -> float:
     chosen = _selected(surface, point)
     with read_result(folder) as result:
         x = result.points(-1)
-        field = {
+        fields: dict[str, Callable[[], Reals]] = {
             "displacement": lambda: x - result.start,
             "position": lambda: x,
             "velocity": lambda: result.field("velocity"),
             "reaction": lambda: result.field("reaction"),
-        }[point.of]()
+        }
+        field = fields[point.of]()
     if point.of == "reaction":
         field, weight = field[chosen].sum(axis=0, keepdims=True), np.ones(1)
     else:

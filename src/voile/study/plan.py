@@ -48,7 +48,7 @@ class Run:
 
     @property
     def ranks(self) -> int:
-        return self.settings.get(RANKS, 1)
+        return int(self.settings.get(RANKS, 1))
 
     @property
     def folder(self) -> str:

@@ -156,7 +156,9 @@ class Study:
 
     study: Heading = key(Table(Heading), "what to study")
     point: tuple[Point, ...] = key(Tables(Point), "measures at selected vertices", default=())
-    vary: dict[str, list] = key(Lists(), "settings of which every combination is run", default_factory=dict)
+    vary: dict[str, list[Any]] = key(
+        Lists(), "settings of which every combination is run", default_factory=dict
+    )
     case: tuple[Case, ...] = key(Tables(Case), "named combinations beside them", default=())
 
     @property

@@ -52,7 +52,7 @@ def extrapolate(sizes: tuple[float, ...], values: tuple[float, ...]) -> tuple[fl
     ratio = (v1 - v2) / (v2 - v3)
 
     def off(p: float) -> float:
-        return (h1**p - h2**p) / (h2**p - h3**p) - ratio
+        return float((h1**p - h2**p) / (h2**p - h3**p) - ratio)
 
     if not (h1 > h2 > h3 and math.isfinite(ratio) and off(RATES[0]) * off(RATES[1]) < 0.0):
         return None, None
@@ -64,7 +64,7 @@ def size(along: str, run: Run, record: Record) -> float:
     """What an error shrinks with: time step, edges' length over the coarsest mesh's, or as the unknowns tell it."""
     if along == TIME_STEP:
         return float(run.effective[along])
-    return 2.0 ** -run.effective[along] if along == REFINE else (record.dofs or 1) ** -0.5
+    return float(2.0 ** -run.effective[along] if along == REFINE else (record.dofs or 1) ** -0.5)
 
 
 def siblings(runs: tuple[Run, ...], records: list[Record], along: str) -> list[list[int]]:

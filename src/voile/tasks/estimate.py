@@ -1,17 +1,24 @@
 """task = inverse with inverse.estimate: parameters from observed equilibria."""
 
-from dataclasses import replace
+from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from voile.arrays import Reals
 from voile.errors import InputError, on_root
 from voile.inverse.estimate import Estimate, Estimation
 from voile.inverse.observation import Observation, UnknownRest
 from voile.mesh import METRES, read_rest, write_obj
 from voile.problem.shell import Shell
-from voile.scene import read_scene, unsupported
+from voile.scene import Scene, read_scene, unsupported
 from voile.solver.path import Path as LoadPath
 from voile.solver.sewing import sew
 from voile.tasks.run import Run, rows
-from voile.wiring import build_model
+from voile.wiring import Model, build_model
+
+if TYPE_CHECKING:
+    from voile.contact.obstacle import Obstacle
 
 FABRIC = "model", "bending", "material", "young", "poisson", "thickness", "density"
 
@@ -19,7 +26,7 @@ FABRIC = "model", "bending", "material", "young", "poisson", "thickness", "densi
 def estimate(job: Run) -> str:
     """As a task, for the parameters of a shell, from the scene's observation and those of inverse.also."""
     scene, model, comm = job.scene, job.model, job.comm
-    found = on_root(comm, lambda: _further(scene, model))
+    found = on_root(comm, lambda: _further(scene, model) if model else [])
     others = found or [None] * len(scene.inverse.also)
     shell, unknown, observations = None, None, []
     if scene.shell.rest is None:
@@ -49,7 +56,7 @@ def estimate(job: Run) -> str:
     return ""
 
 
-def _figures(result: Estimate, observations: int) -> dict:
+def _figures(result: Estimate, observations: int) -> dict[str, Any]:
     """What the summary tells of an estimation."""
     return {
         "estimate": {
@@ -62,7 +69,7 @@ def _figures(result: Estimate, observations: int) -> dict:
     }
 
 
-def _further(scene, model) -> list[tuple]:
+def _further(scene: Scene, model: Model) -> list[tuple[Scene, Model]]:
     """Scenes and models of inverse.also. Raises InputError for one that cannot tell of the same fabric."""
     _check_start(scene)
     found = []
@@ -90,7 +97,7 @@ def _further(scene, model) -> list[tuple]:
     return found
 
 
-def _another_fabric(scene, other) -> list[str]:
+def _another_fabric(scene: Scene, other: Scene) -> list[str]:
     """Notes on what another scene knows differently of the shell."""
     known = {key: (getattr(scene.shell, key), getattr(other.shell, key)) for key in FABRIC}
     return [
@@ -100,7 +107,7 @@ def _another_fabric(scene, other) -> list[str]:
     ]
 
 
-def _check_start(scene) -> None:
+def _check_start(scene: Scene) -> None:
     """Raises InputError for supports or bodies that only the shape before the observed one can place."""
     if scene.inverse.observed:
         return
@@ -119,7 +126,7 @@ def _check_start(scene) -> None:
             )
 
 
-def _observation(other: tuple | None, job: Run) -> tuple[Shell | None, Observation]:
+def _observation(other: tuple[Scene, Model] | None, job: Run) -> tuple[Shell | None, Observation]:
     """A scene's sewn shell (rank 0's) and what was observed of it; other: scene and model, on rank 0."""
     comm = job.comm
     observed, steps, obstacles, offset = comm.bcast(on_root(comm, lambda: _seen(*other) if other else None))
@@ -129,7 +136,7 @@ def _observation(other: tuple | None, job: Run) -> tuple[Shell | None, Observati
     return shell, Observation(problem, local, obstacles, offset, steps)
 
 
-def _seen(scene, model) -> tuple:
+def _seen(scene: Scene, model: Model) -> tuple[Reals | None, int | None, tuple[Obstacle, ...], float]:
     """Observed positions (n, 3) m or None for the start shape, load steps from there, obstacles and offset (m)."""
     file, bodies = scene.inverse.observed, tuple(model.obstacles)
     if file is None:

@@ -2,6 +2,7 @@
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,8 @@ def initial_velocity(job: Run, x: Reals) -> Reals:
     """(n, 3) m/s of points x (n, 3) m that move as the scene's shell does at the start."""
     shell = job.scene.shell
     about = x - np.array(shell.angular_center)
-    return np.array(shell.velocity) + np.cross(np.array(shell.angular_velocity), about)
+    found: Reals = np.array(shell.velocity) + np.cross(np.array(shell.angular_velocity), about)
+    return found
 
 
 def air(job: Run) -> Air | None:
@@ -88,7 +90,7 @@ class TimeSteps:
         self.job.writing += time.perf_counter() - began
 
 
-def row(problem: Problem, step: TimeStep, path: TimePath) -> dict:
+def row(problem: Problem, step: TimeStep, path: TimePath) -> dict[str, Any]:
     """A step of the history."""
     books, k = path.books, path.kinematics
     momentum, angular = books.momenta(k)
@@ -115,7 +117,7 @@ def row(problem: Problem, step: TimeStep, path: TimePath) -> dict:
     }
 
 
-def figures(problem: Problem, path: TimePath) -> dict:
+def figures(problem: Problem, path: TimePath) -> dict[str, Any]:
     """The summary's `dynamics`."""
     books, k = path.books, path.kinematics
     momentum, angular = books.momenta(k)

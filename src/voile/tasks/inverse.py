@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from typing import Any
 
 from voile.errors import on_root
 from voile.inverse.result import InverseResult, inverse_report
@@ -23,7 +24,7 @@ def run(job: Run) -> str:
     if spec.estimate:
         return estimate(job)
     shell = job.sewn(_target_shell(job))
-    on_root(job.comm, lambda: check_wishes(job.model, shell, job.scene))
+    on_root(job.comm, lambda: check_wishes(job.model, shell, job.scene) if job.model else None)
     options = InverseOptions(
         spec.friction,
         spec.contact_tolerance,
@@ -64,7 +65,7 @@ def _target_shell(job: Run) -> Shell | None:
     return replace(s, rest_points=s.points, rest_triangles=s.triangles, flat=False)
 
 
-def _note(job: Run, result: InverseResult, report: dict) -> None:
+def _note(job: Run, result: InverseResult, report: dict[str, Any]) -> None:
     """What a user should know of the result."""
     spec, size = job.scene.inverse, result.target.problem.size()
     if result.tolerance > spec.tolerance:
@@ -86,7 +87,7 @@ def _note(job: Run, result: InverseResult, report: dict) -> None:
         )
 
 
-def _sags(report: dict) -> str:
+def _sags(report: dict[str, Any]) -> str:
     """How far simulations sag, for the last line of the progress."""
     sag, disturbed = (
         "none" if report[name] is None else f"{report[name]:.2e} of the size"

@@ -95,7 +95,8 @@ def _rigid(shell: Shell | None, problem: Problem, path: Path) -> Reals | None:
     if problem.load_norm(path.state) or problem.moves or problem.contact:
         return None
     motions = problem.comm.bcast(None if shell is None else free_motions(shell))
-    return motions[problem.part.vertex]
+    found: Reals | None = motions[problem.part.vertex]
+    return found
 
 
 def _scaled(shell: Shell | None, factor: float) -> Shell | None:

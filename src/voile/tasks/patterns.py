@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from voile.mesh import Pattern, Surface, build_topology
 from voile.problem.shell import Shell
 from voile.scene.pattern import AXES
 from voile.scene.schema import Scene
+from voile.wiring import Model
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 
-def lay_flat(model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPanels:
+def lay_flat(model: Model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
     several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. cut_overlaps:
     panels that overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot
@@ -39,7 +40,7 @@ def lay_flat(model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPane
     return replace(flat, panels=add_stitches(flat.panels, surface.stitches))
 
 
-def _cut(model, shell: Shell, points: Reals) -> Panels:
+def _cut(model: Model, shell: Shell, points: Reals) -> Panels:
     surface = model.surface
     panels = split(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
     return panels if surface.stitches is None else add_stitches(panels, surface.stitches)
@@ -95,7 +96,7 @@ def moved(flat: FlatPanels, coordinates: Reals) -> FlatPanels:
     return replace(flat, coordinates=coordinates, stretches=stretches)
 
 
-def check_wishes(model, shell: Shell | None, scene: Scene) -> None:
+def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
     """Raises InputError, before anything is solved, where the scene's pattern does not fit the target's panels."""
     rules = wishes(scene)
     if rules == NO_RULES or shell is None:
@@ -114,7 +115,8 @@ def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[
     mirror = on_root(comm, lambda: flat and mirror_map(flat.panels, axis))
 
     def even(x: Reals) -> Reals:
-        return comm.bcast(symmetrised(flat.panels, x, mirror)[0] if flat else None)
+        found: Reals = comm.bcast(symmetrised(flat.panels, x, mirror)[0] if flat else None)
+        return found
 
     return even
 
@@ -136,7 +138,7 @@ def draw(flat: FlatPanels, scene: Scene, up: Reals | None) -> Pattern:
     return make_pattern(flat, allowance, None if up is None else up.tolist(), rules=wishes(scene))
 
 
-def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) -> dict:
+def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) -> dict[str, Any]:
     """pattern.json, .svg, .dxf and with `picture` .png; the pattern's figures."""
     from voile.post.pattern_dxf import write_dxf
     from voile.post.pattern_svg import write_svg
@@ -154,13 +156,13 @@ def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) ->
 
 def pattern_of_surface(
     folder: Path,
-    model,
+    model: Model,
     shell: Shell,
     rest: Reals,
     scene: Scene,
     up: Reals | None,
     picture: bool,
-) -> tuple[dict, Reals | None, Ints | None]:
+) -> tuple[dict[str, Any], Reals | None, Ints | None]:
     """The pattern of a rest surface (n, 3) m laid flat with the least distortion, drawn where `picture` or it has
     several pieces: its figures, and its points (p, 2) m with those of each triangle's corners (m, 3). Says why where
     there is none."""

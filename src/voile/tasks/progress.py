@@ -1,9 +1,21 @@
 """What a run says while it runs."""
 
+from __future__ import annotations
+
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from voile.errors import printable
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from voile.inverse.adjoint import AdjointStep
+    from voile.inverse.direct import DirectStep
+    from voile.inverse.nearest import NearestStep
+    from voile.solver.path import LoadStep
+    from voile.solver.stepping.time_path import TimeStep
 
 
 class Progress:
@@ -11,7 +23,7 @@ class Progress:
 
     QUIET = 5.0  # s between lines of a batch log
 
-    def __init__(self, comm, quiet: bool = False):
+    def __init__(self, comm: MPI.Comm, quiet: bool = False):
         self.comm = comm
         self.parameter = "load"  # what problems are at
         self.quiet = quiet or comm.rank != 0
@@ -35,7 +47,7 @@ class Progress:
         )
         print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
 
-    def time_step(self, step, duration: float) -> None:
+    def time_step(self, step: TimeStep, duration: float) -> None:
         """One step in time, at most one line a while but for the last."""
         now = time.perf_counter()
         if self.quiet or (step.time < duration and now - self.last < (0.1 if self.live else self.QUIET)):
@@ -51,21 +63,21 @@ class Progress:
         else:
             self.line(text)
 
-    def fraction(self, step) -> None:
+    def fraction(self, step: DirectStep) -> None:
         """One step of the rest shape's continuation."""
         self.line(
             f"load {step.fraction:.4f}  rest shape in {step.iterations} iterations  residual {step.residual:.2e} N  "
             f"{step.negative} negative eigenvalues  {time.perf_counter() - self.began:.1f} s"
         )
 
-    def nearest(self, step) -> None:
+    def nearest(self, step: NearestStep) -> None:
         """One step to the nearest stable shape."""
         self.line(
             f"load {step.fraction:.4f}  nearest stable shape  sag {step.sag:.2e}  smallest eigenvalue "
             f"{step.eigenvalue:.3g} 1/s^2  {time.perf_counter() - self.began:.1f} s"
         )
 
-    def optimisation(self, step) -> None:
+    def optimisation(self, step: AdjointStep) -> None:
         """One iteration of the adjoint method."""
         self.line(
             f"adjoint {step.iteration:3d}  objective {step.objective:.3e}  gradient {step.gradient:.2e}  "
@@ -79,7 +91,7 @@ class Progress:
             f"estimate {iteration:3d}  misfit {misfit:.3e} m  {shown}  {time.perf_counter() - self.began:.1f} s"
         )
 
-    def step(self, step) -> None:
+    def step(self, step: LoadStep) -> None:
         """One converged load step."""
         energy = sum(step.energies.values())
         self.line(
@@ -89,7 +101,7 @@ class Progress:
         )
 
 
-def _touching(step) -> str:
+def _touching(step: LoadStep | TimeStep) -> str:
     """What a step's contact is, for a line of progress; empty without."""
     c = step.contact
     return f"contact {c['active']} ({c['slip']} slip, {step.method})  " if c else ""

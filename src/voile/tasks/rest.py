@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from petsc4py import PETSc
 
 from voile.arrays import Ints, Reals
 from voile.errors import Hinged, on_root
@@ -16,6 +18,7 @@ from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
 from voile.problem.shell import Shell
 from voile.problem.supports import without_flaps
+from voile.scene import Scene
 from voile.tasks.patterns import (
     cut_apart,
     draw,
@@ -27,8 +30,9 @@ from voile.tasks.patterns import (
     write_pattern_files,
 )
 from voile.tasks.run import Run, rows
+from voile.wiring import Model
 
-Found = tuple[InverseResult, FlatPanels | None, dict | None]
+Found = tuple[InverseResult, FlatPanels | None, dict[str, Any] | None]
 
 
 def find_surface(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
@@ -51,7 +55,7 @@ def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
     """`find_surface`, whose files are written before its proof: a long simulation may be stopped."""
     problem, figures = job.problem(shell), None
 
-    def write(z) -> None:
+    def write(z: PETSc.Vec) -> None:
         nonlocal figures
         rest = gathered(problem, problem.positions(problem.create_vector()) + problem.motion(z))
         figures = on_root(job.comm, lambda: _write_surface(job, shell, rest))
@@ -107,7 +111,7 @@ def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
     return flat, cut_apart(shell, flat)
 
 
-def _sewn(shell) -> Reals:
+def _sewn(shell: Shell) -> Reals:
     """(n, 3) the start shape with its seams closed."""
     return shell.points + build_constraints(shell, False).closure[: shell.points.size].reshape(-1, 3)
 
@@ -117,7 +121,7 @@ def _guess(job: Run) -> Reals | None:
     return None if job.model is None or job.scene.shell.rest is None else job.model.rest.points
 
 
-def _borders(model) -> Ints | None:
+def _borders(model: Model | None) -> Ints | None:
     """Vertices where groups meet and on the scene's seams, which may have an angle defect."""
     if model is None:
         return None
@@ -129,7 +133,7 @@ def _borders(model) -> Ints | None:
     return np.union1d(np.flatnonzero(lowest < highest), model.cuts)
 
 
-def _standing(flat) -> Ints | None:
+def _standing(flat: FlatPanels | None) -> Ints | None:
     """(p,) the surface's vertex that a panel vertex stands for, -1 for further copies; None without panels."""
     if flat is None:
         return None
@@ -139,7 +143,7 @@ def _standing(flat) -> Ints | None:
     return vertex
 
 
-def _kept(values: dict, keep: Ints | None) -> dict:
+def _kept(values: dict[str, Any], keep: Ints | None) -> dict[str, Any]:
     """A step's rows for the surface's own vertices; panels have no director angles to store."""
     if keep is None:
         return values
@@ -152,17 +156,17 @@ def _kept(values: dict, keep: Ints | None) -> dict:
     return kept
 
 
-def _title(scene) -> str:
+def _title(scene: Scene) -> str:
     return f"rest shape of {scene.scene.name or scene.path}"
 
 
-def _up(shell) -> Reals | None:
+def _up(shell: Shell) -> Reals | None:
     return -shell.gravity if shell.gravity.any() else None
 
 
-def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: Reals) -> dict:
+def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: Reals | None) -> dict[str, Any]:
     """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
-    assert shell is not None
+    assert shell is not None and target is not None
     pattern = draw(flat, job.scene, _up(shell))
     write_rest_obj(
         job.folder / "rest.obj", flat.panels, pattern, target[first_copies(flat)], _title(job.scene)
@@ -170,10 +174,10 @@ def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: Reals
     return write_pattern_files(job.folder, pattern)
 
 
-def _write_surface(job: Run, shell: Shell | None, rest: Reals) -> dict:
+def _write_surface(job: Run, shell: Shell | None, rest: Reals | None) -> dict[str, Any]:
     """rest.obj of a rest shape (n, 3) m, its flat pattern as texture coordinates, and the pattern of least distortion;
     the pattern's figures."""
-    assert job.model and shell
+    assert job.model and shell and rest is not None
     s = job.model.surface
     laid = replace(shell, rest_points=rest)
     spec = job.scene.inverse
@@ -200,10 +204,12 @@ def write_result(job: Run, shell: Shell | None, result: InverseResult, flat: Fla
 
             draw_trade(job.folder / "developability.png", result.trade)
         if flat:
+            assert mode is not None
             mode = mode[first_copies(flat)]
             flat_points = np.column_stack([flat.coordinates, np.zeros(len(flat.coordinates))])
             shell = replace(shell, rest_points=flat_points, rest_triangles=flat.panels.corners, flat=True)
         else:
+            assert rest is not None
             shell = replace(shell, rest_points=rest)
     directors = problem.directors and not flat
     with job.results(job.mesh(shell, directors, mode=mode)) as writer:

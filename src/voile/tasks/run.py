@@ -80,7 +80,8 @@ class Run:
         if self.model:
             for array in (self.model.shell.points, self.model.shell.rest_points, self.model.shell.triangles):
                 digest.update(numpy.ascontiguousarray(array).data)
-        return self.comm.bcast(digest.hexdigest())
+        found: str = self.comm.bcast(digest.hexdigest())
+        return found
 
     def keep(self, step: int, arrays: dict[str, Array], stored: int, began: float | None = None) -> None:
         """Keeps what a later run goes on from, after a step and so many stored ones. Collective."""
@@ -100,7 +101,10 @@ class Run:
 
     def bodies(self) -> tuple[list[Obstacle], float]:
         """The obstacles, and how far from the mid-surface they touch (m)."""
-        return self.comm.bcast((self.model.obstacles, self.model.offset) if self.model else None)
+        found: tuple[list[Obstacle], float] = self.comm.bcast(
+            (self.model.obstacles, self.model.offset) if self.model else None
+        )
+        return found
 
     def layers(self, shell: Shell | None) -> Layers | None:
         """The layers of a sewn shell that are in each other's way; None where the scene lets them pass. Adds a note on
@@ -115,7 +119,8 @@ class Run:
                     f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a "
                     "layer caught between: they are not kept apart"
                 )
-        return self.comm.bcast(layers)
+        found: Layers | None = self.comm.bcast(layers)
+        return found
 
     def prepare(self) -> tuple[Shell | None, Problem]:
         """The scene's shell, sewn, and its problem with all that is in its way."""
@@ -129,12 +134,13 @@ class Run:
 
     # ---- results ----
 
-    def mesh(self, shell: Shell | None, directors: bool, **point_data: Array) -> StaticMesh | None:
+    def mesh(self, shell: Shell | None, directors: bool, **point_data: Array | None) -> StaticMesh | None:
         """What the result file holds once, on rank 0."""
         if not (self.model and shell):
             return None
         mesh = static_mesh(self.model, shell, directors)
-        return replace(mesh, point_data={**mesh.point_data, **point_data})
+        given = {name: values for name, values in point_data.items() if values is not None}
+        return replace(mesh, point_data={**mesh.point_data, **given})
 
     @contextmanager
     def results(self, mesh: StaticMesh | None, numbered: bool = False) -> Iterator[ResultWriter]:
@@ -214,7 +220,7 @@ class Run:
             set_aside(self.folder / RESULT)
         write_summary(self.folder / SUMMARY, summary)
 
-    def _about(self) -> dict:
+    def _about(self) -> dict[str, Any]:
         """What every summary tells of its run."""
         assert self.model is not None
         return {

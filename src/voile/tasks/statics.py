@@ -41,7 +41,7 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
             problem, options, s.max_load_factor, s.branch, steps, steps.pause, job.found
         )
         steps.finish(path)
-    told: dict[str, list] = {"limit point": [], "bifurcation": []}
+    told: dict[str, list[Any]] = {"limit point": [], "bifurcation": []}
     for point in critical:
         told[point.kind].append({"load_factor": point.factor, "displacement": point.displacement})
     bifurcations = told["bifurcation"]

@@ -41,7 +41,9 @@ def clamp(mask: Flags, **more: Any) -> dict[str, Any]:
     return {"select": nodes(mask), "clamp": True, **more}
 
 
-def fabric(thickness: float, young: float = YOUNG, poisson: float = 0.0, density: float = DENSITY) -> dict:
+def fabric(
+    thickness: float, young: float = YOUNG, poisson: float = 0.0, density: float = DENSITY
+) -> dict[str, Any]:
     """The [shell] keys of a material."""
     return {"thickness": thickness, "young": young, "poisson": poisson, "density": density}
 
@@ -54,7 +56,8 @@ def shared_by_length(points: Reals, line: Flags, total: Reals) -> Reals:
     share = np.zeros(len(points))
     share[at[:-1]] += 0.5 * np.diff(place)
     share[at[1:]] += 0.5 * np.diff(place)
-    return share[:, None] / np.ptp(place) * total
+    found: Reals = share[:, None] / np.ptp(place) * total
+    return found
 
 
 def line_forces(points: Reals, line: Flags, total: Reals) -> list[dict[str, Any]]:

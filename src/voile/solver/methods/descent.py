@@ -145,7 +145,9 @@ class Iterate:
                 self.method.stalled, reason = True, _REASON.DIVERGED_LINE_SEARCH
         snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)
 
-    def _watchdog(self, y, direction, energy, trial, trial_residual) -> float:
+    def _watchdog(
+        self, y: PETSc.Vec, direction: PETSc.Vec, energy: float, trial: PETSc.Vec, trial_residual: PETSc.Vec
+    ) -> float:
         """Where stretching cuts the line search short: the whole step and some mixed steps after it (Chamberlain et
         al. 1982). Leaves their end in trial if its potential is below `energy`, that of the line search; else waits
         twice as long as before until the next try. Returns the potential of trial."""
@@ -180,7 +182,9 @@ class Iterate:
 
     # ---- direction ----
 
-    def _direction(self, y, residual, direction) -> tuple[bool, float | None]:
+    def _direction(
+        self, y: PETSc.Vec, residual: PETSc.Vec, direction: PETSc.Vec
+    ) -> tuple[bool, float | None]:
         """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
         self._wait -= 1
         if self._wait < 0:
@@ -212,7 +216,7 @@ class Iterate:
             and last[-1].residual > self.options.little * last[0].residual
         )
 
-    def _off_saddle(self, y, residual, direction) -> float | None:
+    def _off_saddle(self, y: PETSc.Vec, residual: PETSc.Vec, direction: PETSc.Vec) -> float | None:
         """A direction of the exact Hessian with the least shift found; the slope along it, None without one."""
         first = slow_rate(self.problem)
         self._least = max(self._least, first)
@@ -227,7 +231,7 @@ class Iterate:
             self._least *= 10.0
         return None
 
-    def _slope(self, linear: LinearSolver, residual, direction) -> float | None:
+    def _slope(self, linear: LinearSolver, residual: PETSc.Vec, direction: PETSc.Vec) -> float | None:
         """That of the potential along the direction (J); None where the matrix gives no descent direction."""
         if linear.negative or not linear.usable:
             return None
@@ -261,7 +265,16 @@ class Iterate:
 
     # ---- line search ----
 
-    def _search(self, y, direction, energy, norm, slope, trial, trial_residual) -> tuple[float, float]:
+    def _search(
+        self,
+        y: PETSc.Vec,
+        direction: PETSc.Vec,
+        energy: float,
+        norm: float,
+        slope: float,
+        trial: PETSc.Vec,
+        trial_residual: PETSc.Vec,
+    ) -> tuple[float, float]:
         """Backtracks from the longest step that the problem admits; (0, energy) if no length is acceptable."""
         problem, options = self.problem, self.options
         length, noise = problem.longest_step(y, direction), options.noise * abs(energy)
@@ -286,7 +299,15 @@ class Iterate:
             length = min(max(guess, 0.1 * length), 0.5 * length)
         return 0.0, energy
 
-    def _lengthen(self, y, direction, energy, slope, trial, trial_residual) -> tuple[float, float]:
+    def _lengthen(
+        self,
+        y: PETSc.Vec,
+        direction: PETSc.Vec,
+        energy: float,
+        slope: float,
+        trial: PETSc.Vec,
+        trial_residual: PETSc.Vec,
+    ) -> tuple[float, float]:
         """Doubles a whole step, to trial where the potential is `energy`, while that falls on nearly as steeply. Off a
         saddle the safe matrix is far stiffer than the way down, which whole steps would take in hundreds of parts.
         Returns the length and the potential there."""

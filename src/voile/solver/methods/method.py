@@ -133,12 +133,12 @@ class Nonlinear:
     @property
     def norm(self) -> float:
         """The residual's at the end of the last run (N)."""
-        return self.snes.getFunctionNorm()
+        return float(self.snes.getFunctionNorm())
 
     @property
     def iterations(self) -> int:
         """Those of the last run."""
-        return self.snes.getIterationNumber()
+        return int(self.snes.getIterationNumber())
 
     def missed(self, y: PETSc.Vec) -> str:
         """By how much the last run, which ended at y, missed its tolerance; and round-off, where it is to blame."""

@@ -65,7 +65,7 @@ def descent_direction(linear: LinearSolver, residual: PETSc.Vec, direction: PETS
     """direction = -A^-1 residual; the slope of the potential along it (J)."""
     linear.solve(residual, direction)
     direction.scale(-1.0)
-    return residual.dot(direction)
+    return float(residual.dot(direction))
 
 
 def limit(problem: Problem, y: PETSc.Vec, direction: PETSc.Vec) -> float:
@@ -85,8 +85,8 @@ def test(snes: PETSc.SNES, iteration: int, y: PETSc.Vec, direction: PETSc.Vec, n
     snes.logConvergenceHistory(norm, 0)
     snes.monitor(iteration, norm)
     if not np.isfinite(norm):
-        return NOT_FINITE
-    return snes.callConvergenceTest(iteration, y.norm(), direction.norm() if iteration else 0.0, norm)
+        return int(NOT_FINITE)
+    return int(snes.callConvergenceTest(iteration, y.norm(), direction.norm() if iteration else 0.0, norm))
 
 
 def to_round_off(problem: Problem, y: PETSc.Vec, norm: float, tolerance: float) -> str:

@@ -118,7 +118,7 @@ class Arc:
         """Of two motions (sizes^2)."""
         weighed = a.duplicate()
         weighed.pointwiseMult(self.weight, b)
-        return weighed.dot(a)
+        return float(weighed.dot(a))
 
     def norm(self, a: PETSc.Vec) -> float:
         """Root mean square motion (sizes)."""
@@ -267,4 +267,4 @@ class Arc:
         if problem.contact:
             return float(np.hypot(*law_norms(problem, y, residual, self.tolerance)))
         problem.residual(y, residual)
-        return residual.norm()
+        return float(residual.norm())

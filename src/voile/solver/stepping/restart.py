@@ -94,7 +94,7 @@ def packed_path(path: Path, **more: Any) -> Arrays:
 
 def unpacked_path(found: Arrays, path: Path) -> dict[str, Any]:
     """Fills a path that has begun with that of `packed_path`; what was said of it."""
-    said = json.loads(found["said"].tobytes())
+    said: dict[str, Any] = json.loads(found["said"].tobytes())
     path.steps = [LoadStep(**step) for step in said["steps"]]
     path.jumps = [Jump(**jump) for jump in said["jumps"]]
     path.attempts, path.stable = said["attempts"], said["stable"]

@@ -6,7 +6,7 @@ slip is that of the step, relative to the obstacle.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -99,7 +99,7 @@ class TimeStep:
     law_residual: float
     tolerance: float
     energies: dict[str, float]
-    contact: dict | None
+    contact: dict[str, Any] | None
     method: str
     speed: float
 
@@ -175,7 +175,7 @@ class Stepper:
         self.creation = Creation(problem)
         if not len(path.pushed):
             path.pushed = np.zeros(len(self.k.positions), dtype=bool)
-        laws: list = [*problem.shell.load_laws.values()] if problem.shell else []
+        laws: list[Any] = [*problem.shell.load_laws.values()] if problem.shell else []
         laws += problem.contact.obstacles if problem.contact else []
         own = max([problem.part.supports.ends, *(law.ends for law in laws)])
         self.changes = problem.comm.allreduce(own, op=MPI.MAX)  # s until which what is prescribed does
@@ -348,12 +348,11 @@ class Stepper:
         bear on something now or did in the last step, with all that is sewn to them."""
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
             return known
-        force = problem.contact.force(problem.positions(self.y), problem.time, frozen=False)
-        bears = force.any(axis=1) | self.path.pushed
+        bears = _pushed(problem, problem.positions(self.y)) | self.path.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
         unknowns.array[:] = problem.layout.diagonal(dofs) > 0.0
-        return known | (bears | problem.motion(unknowns).any(axis=1))[:, None]
+        return np.asarray(known | (bears | problem.motion(unknowns).any(axis=1))[:, None], dtype=bool)
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
         """Goes as the last acceleration leads, as far as terms admit."""
@@ -388,7 +387,8 @@ def _pushed(problem: Problem, x: Reals) -> Flags:
     """(local vertices,) marks those on which something bears at positions x (n, 3)."""
     if not problem.contact:
         return np.zeros(len(x), dtype=bool)
-    return problem.contact.force(x, problem.time, frozen=False).any(axis=1)
+    found: Flags = problem.contact.force(x, problem.time, frozen=False).any(axis=1)
+    return found
 
 
 def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:

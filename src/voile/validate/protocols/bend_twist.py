@@ -4,7 +4,7 @@ import numpy as np
 
 from voile.validate.bench import Bench, Mesh
 from voile.validate.protocol import Check, Curve, Findings, Plot, close, order
-from voile.validate.references.curl import critical, planar
+from voile.validate.references.curl import Curl, critical, planar
 from voile.validate.shapes import CLAMP, DENSITY, YOUNG, clamp, fabric, rigidity, strip
 
 TEXT = "hanging curled ribbon: natural curvature at which it twists out of its plane"
@@ -17,11 +17,12 @@ RATIO = 20.0  # width over thickness; its square is the stiffness against bendin
 BOUND = 5e-3
 
 
-def followed(weight: float, natural: float):
+def followed(weight: float, natural: float) -> Curl:
     """The rod's curl, from the straight one."""
-    curl = None
+    curl: Curl | None = None
     for share in np.linspace(0.0, 1.0, 2 + int(natural)):
         curl = planar(weight, share * natural, curl)
+    assert curl is not None
     return curl
 
 
@@ -53,7 +54,7 @@ def softness(bench: Bench, weight: float, natural: float, cells: int) -> float:
     }
     outcome = bench.run(f"{weight:g}-{cells}-{natural:.6g}", scene)
     frequency = outcome.summary["modes"]["frequencies"][0]
-    return frequency * abs(frequency)
+    return float(frequency * abs(frequency))
 
 
 def found(bench: Bench, weight: float, exact: float, cells: int) -> float:

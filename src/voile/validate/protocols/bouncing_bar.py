@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.validate.bench import Bench
 from voile.validate.protocol import Curve, Findings, Plot, close, small
 from voile.validate.shapes import fabric, nodes, sheet
@@ -15,7 +16,7 @@ HEIGHT = 0.5 * GRAVITY * (3.0 * TAU) ** 2
 EVENTS = ("first contact", "leaves", "second contact", "leaves again")
 
 
-def bounce(bench: Bench, cells: int, steps: int):
+def bounce(bench: Bench, cells: int, steps: int) -> tuple[Reals, Reals, Reals, float]:
     """Times over tau at which contact begins or ends; times, and the lower end's height over the drop; energy lost over
     the first."""
     mesh = sheet(cells, 1, LENGTH, LENGTH / cells)

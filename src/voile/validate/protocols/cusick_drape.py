@@ -71,7 +71,8 @@ def stiff_rim(weight: float, stiffness: float) -> float:
         if kind == "slope":
             return slope
         bend = np.array([0.0, -1.0 / r**2, 2.0, 2.0 * log + 3.0, 3.0 * r**2 / 16.0])
-        return bend + POISSON * slope / r
+        found: Reals = bend + POISSON * slope / r
+        return found
 
     rows = np.array([row(a, "w"), row(a, "slope"), row(b, "moment")])
     last = -q * b**2 / 8.0  # no shear at b

@@ -76,4 +76,4 @@ def _sliding_error() -> float:
     W, q, mu = OWN["block that slides"]
     r, _ = solve_friction(W, q, mu, tol=1e-12)
     velocity = W @ r + q
-    return abs(float(velocity.reshape(-1, 3)[:, 1].mean()) - 9.81 * (np.sin(0.6) - 0.5 * np.cos(0.6)))
+    return float(abs(float(velocity.reshape(-1, 3)[:, 1].mean()) - 9.81 * (np.sin(0.6) - 0.5 * np.cos(0.6))))

@@ -22,7 +22,7 @@ BOUND = 5e-3
 def narrow(load: str, poisson: float) -> float:
     """Critical rho g h L^3 or P L^2 / b, over E h^3 / 12, of a strip whose width is small beside its length and large
     beside h."""
-    return NARROW[load] * np.sqrt(2.0 / (1.0 + poisson))
+    return float(NARROW[load] * np.sqrt(2.0 / (1.0 + poisson)))
 
 
 def scene(load: str, poisson: float, width: float, cells: int) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def by_modes(bench: Bench, load: str, poisson: float, width: float, cells: int =
     asked = {"scene": {"task": "modes"}, "modes": {"buckling": True, "count": 1}}
     name = f"{load.replace(' ', '-')}-{width:g}-{poisson:g}-{cells}"
     outcome = bench.run(name, scene(load, poisson, width, cells) | asked)
-    return outcome.summary["modes"]["buckling"][0]
+    return float(outcome.summary["modes"]["buckling"][0])
 
 
 def by_path(bench: Bench, load: str, poisson: float, width: float) -> float:
@@ -57,7 +57,7 @@ def by_path(bench: Bench, load: str, poisson: float, width: float) -> float:
         asked = scene(load, poisson, width, 8)
         asked["statics"] = {"perturbation": 0.0, "eigenvalue": True, "load_steps": 1}
         asked["loads"]["gravity"] = [factor * each for each in asked["loads"]["gravity"]]
-        return bench.run(f"path-{factor:.6g}", asked).summary["smallest_eigenvalue"]
+        return float(bench.run(f"path-{factor:.6g}", asked).summary["smallest_eigenvalue"])
 
     at = [1.0, 1.05]
     values = [smallest(factor) for factor in at]

@@ -1,5 +1,7 @@
 """A sheet draped on a turning sphere follows it by friction; on a turning plane it speeds up as friction allows."""
 
+from typing import Any
+
 import numpy as np
 
 from voile.arrays import Reals
@@ -17,7 +19,13 @@ ARM = np.sqrt(2.0) + np.log(1.0 + np.sqrt(2.0))
 
 
 def turn(
-    bench: Bench, name: str, body: dict, mesh: Mesh, material: dict, rate: float, dynamics: dict
+    bench: Bench,
+    name: str,
+    body: dict[str, Any],
+    mesh: Mesh,
+    material: dict[str, Any],
+    rate: float,
+    dynamics: dict[str, Any],
 ) -> Outcome:
     """A sheet at rest on a body that turns about z from the start on."""
     scene = {

@@ -18,23 +18,26 @@ from voile.errors import NotConverged
 ELEMENTS = 400  # critical curvatures to 3e-5
 STEP, LARGEST = 0.5, 25.0  # of natural curvatures followed
 
+Curl = Callable[[Reals], Reals]
 
-def planar(weight: float, natural: float, start: Callable | None = None) -> Callable:
+
+def planar(weight: float, natural: float, start: Curl | None = None) -> Curl:
     """s (k,) from the clamp -> (2, k): angle from the vertical and curvature; start: such a curl nearby.
 
     theta'' = weight (1 - s) sin(theta), theta(0) = 0, theta'(1) = natural."""
     s = np.linspace(0.0, 1.0, 201)
 
-    def slope(s, y):
+    def slope(s: Reals, y: Reals) -> Reals:
         return np.vstack([y[1], weight * (1.0 - s) * np.sin(y[0])])
 
-    def ends(a, b):
+    def ends(a: Reals, b: Reals) -> Reals:
         return np.array([a[0], b[1] - natural])
 
     found = solve_bvp(slope, ends, s, start(s) if start else np.zeros((2, 201)), tol=1e-8, max_nodes=20000)
     if not found.success:
         raise NotConverged(f"planar curl of natural curvature {natural:g}: {found.message}")
-    return found.sol
+    values: Curl = found.sol
+    return values
 
 
 def softest(angle: Reals, moment: Reals, pull: Reals, hard: float, torsion: float, held: Flags) -> float:
@@ -52,10 +55,11 @@ def softest(angle: Reals, moment: Reals, pull: Reals, hard: float, torsion: floa
     psi, phi = np.array([[0.5, 0.0, 0.5, 0.0], [0.0, 0.5, 0.0, 0.5]])
     psi_s, phi_s = np.array([[-1.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 1.0]]) / step
 
-    def product(weight, a, b):
+    def product(weight: Reals | float, a: Reals, b: Reals) -> Reals:
         a, b = np.broadcast_to(a, (n, 4)), np.broadcast_to(b, (n, 4))
         both = np.einsum("e,ei,ej->eij", np.broadcast_to(weight, n), a, b)
-        return 0.5 * (both + both.transpose(0, 2, 1))
+        found: Reals = 0.5 * (both + both.transpose(0, 2, 1))
+        return found
 
     bend, twist = psi_s - kappa * phi, phi_s + kappa * psi
     parts = product(hard, bend, bend) + product(torsion, twist, twist)
@@ -73,7 +77,7 @@ def softest(angle: Reals, moment: Reals, pull: Reals, hard: float, torsion: floa
     return float(eigvals_banded(bands, lower=True, select="i", select_range=(0, 0))[0] / step)
 
 
-def stiffness(curl: Callable, weight: float, natural: float, hard: float, torsion: float) -> float:
+def stiffness(curl: Curl, weight: float, natural: float, hard: float, torsion: float) -> float:
     """The smallest eigenvalue of a planar curl."""
     s = np.linspace(0.0, 1.0, ELEMENTS + 1)
     middle = 0.5 * (s[1:] + s[:-1])

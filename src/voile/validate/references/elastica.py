@@ -35,11 +35,11 @@ def cantilever(load: float, heavy: bool) -> Elastica:
     places = np.concatenate([np.linspace(0.0, layer, 201), np.linspace(0.0, 1.0, 201)])
     s = np.unique(places.round(9))  # none nearer to each other than that
 
-    def slope(s, y):
+    def slope(s: Reals, y: Reals) -> Reals:
         arm = 1.0 - s if heavy else 1.0 + 0.0 * s
         return np.vstack([y[1], -load * arm * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])])
 
-    def ends(a, b):
+    def ends(a: Reals, b: Reals) -> Reals:
         return np.array([a[0], b[1], a[2], a[3]])
 
     theta = np.pi / 2 * (1.0 - np.exp(-np.sqrt(load) * s)) * min(1.0, 0.2 * load)
@@ -60,13 +60,16 @@ def slip_onset(friction: float) -> float:
     the curve dips below the plane."""
     k = 4.493409457909064
 
-    def end(unknowns, mu):
+    def end(unknowns: Reals, mu: float) -> Reals:
         v, tip = unknowns
 
-        def slope(_, y):
+        def slope(_: float, y: Reals) -> list[float]:
             return [y[1], v * (mu * np.cos(y[0]) - np.sin(y[0])), np.sin(y[0]), np.cos(y[0])]
 
-        return solve_ivp(slope, (0.0, 1.0), [tip, 0.0, 0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-12).y[:, -1]
+        found: Reals = solve_ivp(slope, (0.0, 1.0), [tip, 0.0, 0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-12).y[
+            :, -1
+        ]
+        return found
 
     found, last = np.array([k * k, 1.0 - 1.0 / np.cos(k)]), 1.0
     for mu in np.linspace(0.0, friction, int(np.ceil(20.0 * friction)) + 2)[1:]:
@@ -78,4 +81,5 @@ def slip_onset(friction: float) -> float:
 def catenary(span: float, x: Reals) -> Reals:
     """Depth below the ends of a chain of length 1 between ends `span` apart, at x from its middle."""
     a = brentq(lambda a: 2.0 * a * np.sinh(0.5 * span / a) - 1.0, 0.05, 10.0)
-    return a * (np.cosh(0.5 * span / a) - np.cosh(x / a))
+    found: Reals = a * (np.cosh(0.5 * span / a) - np.cosh(x / a))
+    return found
