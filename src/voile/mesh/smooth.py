@@ -29,11 +29,13 @@ def smooth_middles(points: Reals, triangles: Ints) -> Reals:
     bend = lean[:, 1:] * normals[topology.edges[:, 1]] - lean[:, :1] * normals[topology.edges[:, 0]]
     border = topology.boundary_edges
     bend[border] = _along_border(points, topology.edges[border])
-    return 0.5 * (a + b) + 0.125 * bend
+    found: Reals = 0.5 * (a + b) + 0.125 * bend
+    return found
 
 
 def _unit(vectors: Reals) -> Reals:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    found: Reals = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return found
 
 
 def _sharp(facing: Reals, across: Ints, triangles: Ints, count: int) -> Flags:
@@ -71,7 +73,8 @@ def _normals(points: Reals, triangles: Ints, facing: Reals, edges: Ints, sharp: 
 
 
 def _lengths(points: Reals, edges: Ints) -> Reals:
-    return np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
+    found: Reals = np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
+    return found
 
 
 def _sums(at: Ints, values: Reals, count: int) -> Reals:
@@ -103,4 +106,5 @@ def _along_border(points: Reals, edges: Ints) -> Reals:
     begins, stops = direction[0::2], direction[1::2]
     begins = np.where(np.isnan(begins), 2.0 * along - stops, begins)
     stops = np.where(np.isnan(stops), 2.0 * along - begins, stops)
-    return np.nan_to_num(begins - stops) * lengths[:, None]
+    found: Reals = np.nan_to_num(begins - stops) * lengths[:, None]
+    return found
