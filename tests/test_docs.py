@@ -81,6 +81,21 @@ def test_every_command_is_in_the_reference():
     assert "--template" in text and "--field" in text
 
 
+def sentences(page):
+    """Words of each sentence; cells of tables and list items are paragraphs of their own."""
+    text = re.sub(r"^\$\$.*?^\$\$|\$`[^`]*`\$|<[^>]*>", "", prose(page), flags=re.M | re.S)
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    for part in re.split(r"\n\s*\n|\n(?=[-*] |\d+\. |\||#)|\|", text):
+        for sentence in re.split(r"(?<=[.!?])\s+|(?<=[;:])\s+(?=[A-Z\"(*])", part):
+            yield [word for word in sentence.split() if re.search("[A-Za-z]", word)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_sentences_are_short(page):
+    long = [" ".join(words) for words in sentences(page) if len(words) > 30]
+    assert not long
+
+
 # ---- the tutorial ----
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 def scene_arguments(parser: argparse.ArgumentParser) -> None:
     """The scene file and overrides of its keys."""
-    parser.add_argument("scene", type=Path)
+    parser.add_argument("scene", type=Path, help="a TOML file; voile schema prints its keys")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override a scene key"
     )

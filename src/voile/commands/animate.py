@@ -11,7 +11,7 @@ TEXT = "a film of a run over time or load: mp4, gif or webp"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument("-o", "--output", type=Path, help="default: film.mp4 beside the result")
     parser.add_argument("--field", default="strain", help="colours, as for render")
     parser.add_argument("--fps", type=float, help="frames a second (default: 25; along a load path 5 steps)")

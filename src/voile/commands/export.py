@@ -11,10 +11,15 @@ TEXT = "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument("output", type=Path, nargs="?", help="its ending says the format")
     parser.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
-    parser.add_argument("--step", type=int, default=-1)
+    parser.add_argument(
+        "--step",
+        type=int,
+        default=-1,
+        help="which stored step, from 0; negative from the end (default: the last)",
+    )
 
 
 def run(args: argparse.Namespace) -> None:

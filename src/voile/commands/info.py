@@ -10,7 +10,7 @@ TEXT = "figures of a result"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
 
 
 def run(args: argparse.Namespace) -> None:

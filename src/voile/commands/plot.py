@@ -10,7 +10,7 @@ TEXT = "quantities of a result against time or load, as PNG"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument(
         "quantity", nargs="*", help="energies (default), contact_force, ...; FIELD:VERTEX at a vertex"
     )

@@ -10,14 +10,19 @@ TEXT = "a PNG picture of a result"
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
-    parser.add_argument("file", type=Path)
+    parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument("-o", "--output", type=Path, help="default: FIELD.png beside the result")
     parser.add_argument(
         "--field",
         default="strain",
         help="colours: displacement, strain, curvature or a stored field (contact, gap, margin, reaction)",
     )
-    parser.add_argument("--step", type=int, default=-1)
+    parser.add_argument(
+        "--step",
+        type=int,
+        default=-1,
+        help="which stored step, from 0; negative from the end (default: the last)",
+    )
     parser.add_argument(
         "--shape", choices=("step", "rest"), default="step", help="what is drawn (default: a step)"
     )
