@@ -66,7 +66,7 @@ class Model:
 def build_model(scene: Scene) -> Model:
     """Reads and checks everything a scene names; raises InputError with the scene's key in question."""
     spec = scene.shell
-    surface = read_mesh(spec.mesh, spec.scale, spec.seams)
+    surface = read_mesh(spec.mesh, spec.scale, spec.seams, spec.joints)
     surface = refine(surface, spec.refine, f"{scene.path}: shell.refine", spec.refine_smooth)
     rest = read_rest(spec.rest, surface, Path(scene.path).parent, spec.scale)
     topology = build_topology(surface.triangles)

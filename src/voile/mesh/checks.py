@@ -100,7 +100,7 @@ def orient(raw: RawMesh) -> Flags:
         around = ", ".join(str(h // 3) for h in order[key[order] == key[half]])
         raise InputError(
             f"{raw.source}: the edge of vertices {start[half]} and {end[half]} belongs to "
-            f"the triangles {around}; at most two may share an edge"
+            f"the triangles {around}; at most two may share an edge (shell.joints = true sews sheets together there)"
         )
     one, other = order[:-1][same], order[1:][same]
     clash = start[one] == start[other]

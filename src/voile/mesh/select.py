@@ -95,13 +95,14 @@ def _places(surface: Surface, nodes: Ints, where: str) -> Ints:
         raise InputError(
             f"{where}: vertex {outside[0]}, allowed: 0 to {surface.input_vertices - 1} ({surface.source})"
         )
-    place = np.minimum(np.searchsorted(surface.input_vertex, nodes), len(surface.input_vertex) - 1)
-    dropped = nodes[surface.input_vertex[place] != nodes]
+    kept, first = np.unique(surface.input_vertex, return_index=True)  # of copies the first
+    place = np.minimum(np.searchsorted(kept, nodes), len(kept) - 1)
+    dropped = nodes[kept[place] != nodes]
     if len(dropped):
         raise InputError(
             f"{where}: vertex {dropped[0]} of {surface.source} belongs to no triangle and was dropped"
         )
-    return place
+    return first[place]
 
 
 def _group(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:

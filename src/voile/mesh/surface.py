@@ -16,6 +16,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError
 from voile.mesh.checks import check_coordinates, check_triangles, flat_triangles, orient, sew
 from voile.mesh.guards import check_xdmf, ending, refuse_references
+from voile.mesh.joints import part_sheets
 from voile.mesh.obj import read_obj
 from voile.mesh.raw import RawMesh, fan
 from voile.mesh.smooth import smooth_middles
@@ -34,9 +35,10 @@ class Surface:
     points (n, 3) float64 in metres; triangles (m, 3) int32; group (m,) int32 index into group_names;
     vertex_groups: vertices (k,) of the file's named points and lines; texture (nt, 2) float64 in metres and
     texture_triangles (m, 3) int32, None without texture coordinates;
-    stitches in the numbering of points, None without; input_vertex (n,) int64, increasing, the index of each
-    vertex in the file, which has input_vertices of them; input_triangle (m,) int64, increasing, and
-    input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source: the file.
+    stitches in the numbering of points, None without; input_vertex (n,) int64, the index of each vertex in the file,
+    which has input_vertices of them, increasing up to the copies of those on joints, which follow; input_triangle (m,)
+    int64, increasing, and input_triangles likewise (polygons count as their fans); notes: repairs, a line each; source:
+    the file.
     A refined surface (mesh.refine) has a coarser one, whose vertices come first, then the middles of its edges: ends
     (e, 2) of them, on a smooth surface where it is `smooth`. Its input_vertex counts those on from the file's.
     """
@@ -87,12 +89,15 @@ class Rest:
     flat: bool
 
 
-def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True) -> Surface:
+def read_mesh(
+    path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True, joints: bool = False
+) -> Surface:
     """Read a surface: OBJ with groups (`g`, else `o`), texture and stitches, what meshio reads, or arrays.
 
     `scale` turns the file's unit of length into metres, for points and texture coordinates alike.
     Polygons are split into triangle fans. Clashing orientations are repaired, unused vertices and triangles
-    that vanish in a seam dropped, each with a note; without `seams` stitches are passed over.
+    that vanish in a seam dropped, each with a note; without `seams` stitches are passed over. With `joints` sheets
+    that meet along edges of more than two triangles are sewn together there (mesh.joints).
     Raises InputError naming file, line, vertex or triangle if the file or the mesh cannot be used.
     """
     raw = read_raw(path, scale)
@@ -101,6 +106,7 @@ def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True
     with _mendable(raw):
         check_coordinates(raw)
         check_triangles(raw)
+        raw, origin = part_sheets(raw) if joints else (raw, np.arange(len(raw.points)))
         flip = orient(raw)
     used = np.zeros(len(raw.points), dtype=bool)
     used[raw.triangles] = True
@@ -120,8 +126,8 @@ def read_mesh(path: str | Path | RawMesh, scale: float = 1.0, seams: bool = True
         texture=raw.texture,
         texture_triangles=None if texture_triangles is None else _flipped(texture_triangles, flip)[triangles],
         stitches=stitches,
-        input_vertex=vertices.astype(np.int64),
-        input_vertices=len(used),
+        input_vertex=origin[vertices].astype(np.int64),
+        input_vertices=int(origin.max()) + 1,
         input_triangle=triangles.astype(np.int64),
         input_triangles=len(keep),
         notes=(*raw.notes, *_repairs(flip, keep, used)),

@@ -97,6 +97,12 @@ class Shell:
         default=False,
     )
     seams: bool = key(Boolean(), "sew the mesh's stitch records", default=True)
+    joints: bool = key(
+        Boolean(),
+        "more than two triangles may share an edge: two of them go on into each other, the other sheets are sewn to "
+        "them and turn freely about the edge",
+        default=False,
+    )
     velocity: Vector3 = key(vector("m/s"), "dynamics: velocity at the start", default=(0.0, 0.0, 0.0))
     angular_velocity: Vector3 = key(
         vector("rad/s"), "dynamics: rotation at the start, about angular_center", default=(0.0, 0.0, 0.0)

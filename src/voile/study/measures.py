@@ -93,7 +93,7 @@ def _dotted(known: dict[str, tuple[str, ...] | None]) -> list[str]:
 def surface_of(scene: Scene) -> Surface:
     """The scene's mesh. Raises InputError."""
     spec = scene.shell
-    surface = read_mesh(spec.mesh, spec.scale, spec.seams)
+    surface = read_mesh(spec.mesh, spec.scale, spec.seams, spec.joints)
     return refine(surface, spec.refine, f"{scene.path}: shell.refine", spec.refine_smooth)
 
 

@@ -1,0 +1,109 @@
+"""Sheets that meet along one edge: a stiffener on a strip, a pocket on its cloth."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import voile
+from voile.mesh import read_mesh
+from voile.mesh.raw import RawMesh
+
+LENGTH, WIDTH, DEPTH, THICKNESS, YOUNG, DENSITY = 0.2, 0.04, 0.03, 1e-3, 1e8, 1000.0
+NX, NY, NZ = 24, 4, 3
+ENDS = {"box": [[-1, -1, -1e-9], [1e-9, 1, 1]]}, {"box": [[LENGTH - 1e-9, -1, -1e-9], [1, 1, 1]]}
+
+
+def tee(turned: bool = False) -> RawMesh:
+    """A strip along x with a fin down from its middle line: edges of three triangles; groups strip and fin. turned:
+    every other triangle of the fin runs the other way."""
+    x, y, z = np.linspace(0, LENGTH, NX + 1), np.linspace(0, WIDTH, NY + 1), np.linspace(0, -DEPTH, NZ + 1)
+    points = [(a, b, 0.0) for a in x for b in y] + [(LENGTH / 2, b, c) for c in z[1:] for b in y]
+    strip = [[i * (NY + 1) + j for j in range(NY + 1)] for i in range(NX + 1)]
+    start = (NX + 1) * (NY + 1)
+    fin = [strip[NX // 2]] + [[start + i * (NY + 1) + j for j in range(NY + 1)] for i in range(NZ)]
+    triangles = [*_cells(strip), *(t[::-1] if turned and k % 2 else t for k, t in enumerate(_cells(fin)))]
+    group = np.repeat([0, 1], [2 * NX * NY, 2 * NZ * NY])
+    return RawMesh("tee", np.array(points), np.array(triangles), group, ("strip", "fin"))
+
+
+def _cells(rows: list[list[int]]) -> list[list[int]]:
+    return [
+        t
+        for one, other in pairwise(rows)
+        for (a, b), (c, d) in zip(pairwise(one), pairwise(other), strict=True)
+        for t in ([a, c, d], [a, d, b])
+    ]
+
+
+def scene(**more) -> dict:
+    shell = {"young": YOUNG, "poisson": 0.0, "thickness": THICKNESS, "density": DENSITY, "joints": True}
+    return {"shell": {"mesh": tee(), **shell}, "loads": {"gravity": [0, 0, 0]}, **more}
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_strip_stays_whole_and_the_fin_is_sewn_to_it(turned):
+    surface = read_mesh(tee(turned), joints=True)
+    assert len(surface.points) == len(tee().points) + NY + 1
+    assert len(surface.stitches) == NY + 1
+    assert np.array_equal(surface.points, tee().points[surface.input_vertex])
+    strip = np.unique(surface.triangles[surface.group == 0])
+    assert len(strip) == (NX + 1) * (NY + 1)  # not cut along the joint
+    assert any("more than two" in note for note in surface.notes)
+
+
+def test_a_load_on_the_fin_bends_the_strip_as_a_beam():
+    """Clamped at both ends, pulled at the fin's lower rim: F L^3 / (192 E I) at the joint, and the fin's stretch."""
+    force, inertia = 1e-4, WIDTH * THICKNESS**3 / 12.0
+    rim = {"box": [[-1, -1, -1], [1, 1, -DEPTH + 1e-9]]}
+    pull = {"gravity": [0, 0, 0], "force": [{"select": rim, "value": [0, 0, -force]}]}
+    fixes = [{"select": end, "clamp": True} for end in ENDS]
+    fixes.append({"select": rim, "axes": "x"})  # else the fin is free to swing
+    result = voile.run(scene(loads=pull, fix=fixes))
+    down = (result.start - result.positions)[:, 2]
+    joint = (np.abs(result.start[:, 0] - LENGTH / 2) < 1e-9) & (result.start[:, 2] == 0.0)
+    assert down[joint].mean() == pytest.approx(
+        force * LENGTH**3 / (192.0 * YOUNG * inertia), rel=0.04
+    )  # 24 cells
+    stretch = down[result.start[:, 2] < -DEPTH + 1e-9].mean() - down[joint].mean()
+    assert stretch == pytest.approx(force * DEPTH / (YOUNG * WIDTH * THICKNESS), rel=0.02)
+
+
+def test_it_falls_as_one_and_lands():
+    """In free fall g t^2 / 2; on a plane its reactions are its weight in the end."""
+    clock = {"time_step": 0.005, "duration": 0.05, "scheme": "generalized-alpha"}
+    free = voile.run(scene(scene={"task": "dynamics"}, dynamics=clock, loads={"gravity": [0, 0, -9.81]}))
+    fall = free.positions[:, 2] - free.start[:, 2]
+    assert np.allclose(fall, -0.5 * 9.81 * 0.05**2, rtol=1e-6)
+    plane = {"shape": "plane", "point": [0, 0, -DEPTH - 1e-3], "normal": [0, 0, 1], "friction": 0.5}
+    ends = [{"select": end} for end in ENDS]
+    landed = voile.run(scene(obstacle=[plane], fix=ends, loads={"gravity": [0, 0, -9.81]}))
+    weight = 9.81 * DENSITY * THICKNESS * (LENGTH + DEPTH) * WIDTH
+    table = landed.summary["supports"]
+    contact = landed.summary["contact"]
+    assert contact["active"] > 0
+    held = sum(row["force"][2] for row in table) + contact["obstacles"][0]["force"][2]
+    assert held == pytest.approx(weight, rel=1e-6)
+
+
+def test_two_ranks_find_the_same_shape(tmp_path, run_on):
+    mesh = tee()
+    lines = ["v " + " ".join(f"{c:.17g}" for c in x) for x in mesh.points]
+    for k, name in enumerate(mesh.group_names):
+        lines += [
+            f"g {name}",
+            *("f " + " ".join(str(i + 1) for i in t) for t in mesh.triangles[mesh.group == k]),
+        ]
+    (tmp_path / "tee.obj").write_text("\n".join(lines) + "\n")
+    text = f"[scene]\ntask = 'statics'\n[shell]\nmesh = 'tee.obj'\njoints = true\nyoung = {YOUNG}\nthickness = 1e-3\n"
+    text += "density = 1000.0\nrefine = 1\n[statics]\nload_steps = 1\n[loads]\ngravity = [1.0, 0, -9.81]\n"
+    for end in ENDS:
+        text += f"[[fix]]\nselect = {{ box = {end['box']} }}\nclamp = true\n"
+    (tmp_path / "scene.toml").write_text(text)
+    shapes = []
+    for ranks in (1, 2):
+        run_on(ranks, tmp_path / "scene.toml", tmp_path / str(ranks))
+        shapes.append(voile.read(tmp_path / str(ranks)).positions)
+    assert abs(shapes[0] - shapes[1]).max() < 1e-7 * LENGTH
+    tip = shapes[0] - voile.read(tmp_path / "1").start
+    assert abs(tip).max() > 1e-3 * LENGTH
