@@ -48,6 +48,23 @@ def test_a_cantilever_carries_its_end_force_and_moment(model):
     assert np.allclose(tip["about"], end.mean(axis=0))
 
 
+def test_a_cut_through_vertices_carries_the_weight_beyond_it():
+    """The stiff strip's own weight beyond each column of vertices, the wall among them, and its moment."""
+    at = LENGTH * np.array([0.0, 0.5, 0.875])
+    scene = cantilever(
+        loads={"gravity": [0, 0, -9.81]},
+        section=[{"point": [x, 0, 0], "normal": [2, 0, 0], "about": [x, WIDTH / 2, 0]} for x in at],
+    )
+    scene["shell"]["young"] = 1e12
+    for x, found in zip(at, voile.run(scene).summary["sections"], strict=True):
+        weight = DENSITY * THICKNESS * WIDTH * (LENGTH - x) * 9.81
+        assert np.allclose(found["force"], [0, 0, weight], rtol=0.0, atol=1e-8 * weight)
+        cell = LENGTH / 8  # vertices carry the weight: cell^2/4 more of (L - x)^2/2 at their arms
+        assert abs(found["moment"][1]) == pytest.approx(
+            weight * (LENGTH - x) / 2, rel=(cell / (LENGTH - x)) ** 2
+        )
+
+
 def test_a_cylinder_under_pressure_carries_p_r_round_itself():
     """Half of it, its rims guided: p times its projection, through two lines; 64 facets."""
     radius, length, pressure, around = 0.1, 0.2, 500.0, 64

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from voile.arrays import Ints
+from voile.arrays import Ints, Reals
 from voile.contact.motion import Motion
 from voile.errors import InputError
 from voile.keys import Vector3
@@ -18,6 +18,7 @@ from voile.scene.moves import Move
 
 GLOBAL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 RIGHT = 1e-9  # cosine under which two directions are at right angles
+ON_PLANE = 1e-9  # of the size: a vertex so near to a plane lies on it
 
 
 def supports_of(
@@ -48,17 +49,31 @@ def sections_of(scene: Scene, surface: Surface, loops: list[Ints]) -> list[Secti
     sections = []
     for k, table in enumerate(scene.section):
         where = f"{scene.path}: section.{k}"
+        parts = np.zeros(len(surface.points))
         if table.select is not None:
             vertices = select(surface, loops, table.select, f"{where}.select")
         else:
-            vertices = np.flatnonzero((surface.points - np.array(table.point)) @ np.array(table.normal) > 0.0)
+            vertices, parts = _beyond(surface, np.array(table.point), np.array(table.normal))
         if not 0 < len(vertices) < len(surface.points):
             raise InputError(
                 f"{where} has {len(vertices)} of {len(surface.points)} vertices inside; allowed: some, not all"
             )
         about = None if table.about is None else np.array(table.about)
-        sections.append(Section(table.name or f"section {k}", vertices, about))
+        sections.append(Section(table.name or f"section {k}", vertices, about, parts))
     return sections
+
+
+def _beyond(surface: Surface, point: Reals, normal: Reals) -> tuple[Ints, Reals]:
+    """Vertices (k,) beyond a plane, and the shares (n,) of those on it that lie beyond, by area."""
+    height = (surface.points - point) @ normal / np.linalg.norm(normal)
+    on = np.abs(height) < ON_PLANE * np.ptp(surface.points, axis=0).max()
+    corners = surface.triangles
+    a, b, c = np.moveaxis(surface.points[corners], 1, 0)
+    area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
+    beyond = area * np.repeat(height[corners].mean(axis=1) > 0.0, 3)
+    whole = np.bincount(corners.ravel(), area, len(on))
+    share = np.bincount(corners.ravel(), beyond, len(on)) / np.where(whole > 0.0, whole, 1.0)
+    return np.flatnonzero((height > 0.0) & ~on), np.where(on, share, 0.0)
 
 
 def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]:

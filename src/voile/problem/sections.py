@@ -17,11 +17,12 @@ from voile.problem.support_forces import clamp_moments, seams_of
 @dataclass(frozen=True)
 class Section:
     """A cut round `vertices` (k,): moments count about `about` (3,) m, or about the centroid of the vertices next to
-    the cut where they are now."""
+    the cut where they are now. parts (n,): shares of the vertices that lie on the cut itself."""
 
     name: str
     vertices: Ints
     about: Reals | None
+    parts: Reals
 
 
 def section_table(
@@ -32,13 +33,15 @@ def section_table(
 
     A triangle away from the cut is in balance with itself, so the elastic forces at the vertices inside add up to what
     crosses it: exactly what balances the loads, reactions and inertia there. What is sewn counts with the vertices that
-    it follows. Clamps inside turn their triangles from outside the shell: their moments are taken off.
+    it follows. Clamps inside turn their triangles from outside the shell: their moments are taken off. Of a vertex on
+    the cut, its part of the loads and inertia counts; what holds it is on the other side.
     """
     at = problem.point(y)
     elastic = problem.elastic.forces(at)[: problem.layout.vertices].reshape(-1, 3)
     forces, x = gathered(problem, elastic), gathered(problem, problem.positions(y))
+    loads = gathered(problem, -elastic - problem.reactions(y))
     pieces = problem.comm.gather(clamp_moments(problem, y))
-    if pieces is None or shell is None or forces is None or x is None:
+    if pieces is None or shell is None or forces is None or loads is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     sewing = seams_of(shell)
@@ -49,7 +52,7 @@ def section_table(
         inside[section.vertices] = 1.0
         share = sewing @ (joined @ inside > 0.0)  # of each vertex's force, that reaches what is inside
         about = _next_to(shell, x, share > 0.0) if section.about is None else section.about
-        force = share[:, None] * forces
+        force = share[:, None] * forces - np.where(share > 0.0, 0.0, section.parts)[:, None] * loads
         moment = np.cross(x - about, force).sum(axis=0)
         moment -= (share[ends].min(axis=1)[:, None] * moments).sum(axis=0)
         table.append({"name": section.name, "force": force.sum(axis=0), "moment": moment, "about": about})
