@@ -17,6 +17,7 @@ from voile.inverse.flatten import flatten
 from voile.inverse.panels import split
 from voile.inverse.pattern import make_pattern, pattern_summary
 from voile.inverse.rules import PanelRule, Rules, SeamRule
+from voile.inverse.stitched import add_stitches
 from voile.mesh import read_mesh, write_obj
 from voile.post import write_dxf, write_svg
 from voile.results import read_pattern, write_pattern
@@ -308,3 +309,26 @@ def test_symmetric_panels_are_those_that_are_proved(tmp_path, mpirun):
         assert told["pattern"]["symmetric"]["moved"] < 1e-12 and len(told["pattern"]["panels"]) == 4
         sags.append(told["sag"])
     assert sags[0] == pytest.approx(sags[1], rel=1e-5) and sags[0] < 0.05
+
+
+def test_a_real_dress_of_fourteen_panels_becomes_seven_pairs(shared, tmp_path):
+    """Cut panels around a body, no two alike in their triangles, 851 stitches; left and right stay sewn."""
+    out = tmp_path / "dress.obj"
+    dress = shared / "meshes" / "pleated-dress-panels.obj"
+    assert main(["mesh", "mirror", str(dress), "--across", "x", "-o", str(out)]) == 0
+    even = read_mesh(out)
+    panels = split(even.triangles, even.points, groups=(even.group, even.group_names))
+    panels = add_stitches(panels, even.stitches)
+    pattern = make_pattern(flatten(panels), grain=(0, 0, 1), rules=Rules(symmetric=0))
+    pairs = pattern_summary(pattern)["symmetric"]["mirrored"]
+    assert sorted(map(sorted, pairs)) == sorted(sorted((f"panel{k}", f"panel{k + 7}")) for k in range(7))
+    assert pattern.symmetrised < 1e-9
+    sewn = even.stitches
+    across = np.isclose(
+        even.points[sewn.slave, 0], 2 * figures_of(out) - even.points[sewn.first, 0], atol=1e-9
+    )
+    assert across.sum() > 50 and len(sewn) > 700
+
+
+def figures_of(path) -> float:
+    return json.loads(path.with_suffix(".json").read_text())["plane"]["x"]

@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
@@ -31,7 +31,8 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     (`apart`) and its mean square (`rms`) from the other half's vertices to what now stands there.
 
     Triangles across the plane are cut, vertices close to it moved there. Groups go to those on the other side, and lie
-    across the plane where they did. Stitches that the half has are mirrored. Texture coordinates are dropped.
+    across the plane where they did. Stitches are mirrored, those to the other half sew vertices to their images.
+    Texture coordinates are dropped.
     Raises InputError where nothing is on that side.
     """
     d = side * (raw.points[:, axis] - place)
@@ -44,7 +45,8 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
         raise InputError(
             f"{raw.source}: nothing lies on that side of {'xyz'[axis]} = {place:g}; choose another"
         )
-    group, twin, names = _groups(raw, triangles, parent, made, axis, place, side)
+    group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
+    triangles = triangles[keep]
     on = np.append(d == 0.0, np.ones(len(made) - len(points), dtype=bool))
     image, n = np.where(on, np.arange(len(made)), np.arange(len(made)) + len(made)), len(made)
     flipped = made.copy()
@@ -56,9 +58,15 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     new = np.cumsum(used) - 1
     sewn = weight = None
     if raw.stitch_vertices is not None and raw.stitch_weight is not None:
-        whole = used[raw.stitch_vertices].all(axis=1)
-        pair = [raw.stitch_vertices[whole], image[raw.stitch_vertices[whole]]]
-        sewn, weight = new[np.concatenate(pair)], np.tile(raw.stitch_weight[whole], 2)
+        held = used[raw.stitch_vertices]
+        whole = held.all(axis=1)
+        # what was sewn to the other half is sewn to its own image
+        ends = raw.stitch_vertices[held & ~whole[:, None]]
+        ends = np.unique(ends[image[ends] != ends])
+        across = np.column_stack([image[ends], ends, ends])
+        both = [raw.stitch_vertices[whole], image[raw.stitch_vertices[whole]], across]
+        sewn = new[np.concatenate(both)]
+        weight = np.concatenate([np.tile(raw.stitch_weight[whole], 2), np.zeros(len(across))])
     result = replace(
         raw, points=everything[used], triangles=new[faces], group=np.concatenate([group, twin]), group_names=names,
         texture=None, texture_triangles=None, stitch_vertices=sewn, stitch_weight=weight,
@@ -122,16 +130,22 @@ def _halved(ring: list[int], points: Reals) -> list[list[int]]:
     return [[a, b, c], [a, c, d]] if first else [[b, c, d], [b, d, a]]
 
 
+def _components(triangles: Ints) -> Ints:
+    """(n,) number of the piece that each vertex belongs to."""
+    return np.asarray(igl.vertex_components(np.ascontiguousarray(triangles, dtype=np.int64))).ravel()
+
+
 def _groups(
     raw: RawMesh,
     triangles: Ints,
     parent: Ints,
-    points: Reals,
     axis: int,
     place: float,
     side: int,
-) -> tuple[Ints, Ints, tuple[str, ...]]:
-    """Groups of the half's triangles and of their mirror images: the group that lies there, or a new one."""
+) -> tuple[Ints, Ints, tuple[str, ...], Flags]:
+    """Groups of the half's triangles and of their mirror images: the group that lies there, or a new one; and the
+    triangles that stay. What reaches over the plane from the other half goes to its partner, or where it is a piece of
+    its own goes."""
     corners = raw.points[raw.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     middle, count = corners.mean(axis=1), len(raw.group_names)
@@ -152,12 +166,14 @@ def _groups(
         partner[g] = len(names)
         names.append(f"{names[g]} mirrored")
     group = raw.group[parent].astype(np.int64)
-    beyond = share[group] < MIDDLE  # what reaches over the plane belongs to its partner
-    group = np.where(beyond, partner[group], group)
+    beyond = share[group] < MIDDLE
+    piece = np.unique(_components(triangles)[triangles[:, 0]], return_inverse=True)[1].ravel()
+    keep = np.bincount(piece, ~beyond)[piece] > 0
+    group = np.where(beyond, partner[group], group)[keep]
     twin = np.append(partner, np.zeros(len(names) - count, dtype=np.int64))
     for g, h in enumerate(partner):
         if h >= count:
             twin[h] = g
     used, index = np.unique(np.concatenate([group, twin[group]]), return_inverse=True)
     index = index.ravel().astype(np.int32)
-    return index[: len(group)], index[len(group) :], tuple(names[g] for g in used)
+    return index[: len(group)], index[len(group) :], tuple(names[g] for g in used), keep
