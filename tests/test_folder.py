@@ -197,6 +197,16 @@ def test_ctrl_c_at_the_start_leaves_no_traceback(voile, seconds):
     assert "Traceback" not in said and process.returncode in (0, 3, 130, -signal.SIGINT)
 
 
+def test_a_run_goes_on_when_nobody_reads_its_lines(voile):
+    command = [sys.executable, "-m", "voile.cli", "run", voile.folder.parent / "one.toml", "-o", voile.folder]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout and process.stderr
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 0 and said == ""
+    assert json.loads((voile.folder / "summary.json").read_text())["converged"]
+
+
 def test_too_little_memory_is_told(voile):
     done = subprocess.run(
         [sys.executable, "-m", "voile.cli", "run", voile.folder.parent / "one.toml", "-o", voile.folder],

@@ -1,5 +1,7 @@
 """PETSc's options as a user gives them (after `--`, in PETSC_OPTIONS or ~/.petscrc), and those that nothing used."""
 
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -39,6 +41,9 @@ def start_petsc(arguments: Sequence[str] = ()) -> None:
         "options_left"
     ):  # newer PETSc would say at its end what `unused_options` says
         PETSc.Options().setValue("options_left", "no")
+    if threading.current_thread() is threading.main_thread():
+        # PETSc takes a reader that leaves (voile run ... | head) for a crash; Python raises BrokenPipeError there.
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from typing import TYPE_CHECKING
@@ -33,7 +34,15 @@ class Progress:
     def line(self, text: str) -> None:
         """A line that stays."""
         if not self.quiet:
-            print(("\r\033[K" if self.live else "") + printable(text), flush=True)
+            self._print(("\r\033[K" if self.live else "") + printable(text))
+
+    def _print(self, text: str, end: str = "\n") -> None:
+        """A run goes on when nobody reads what it says any more."""
+        try:
+            print(text, end=end, flush=True)
+        except BrokenPipeError:
+            self.quiet = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def iteration(self, factor: float, iteration: int, residual: float) -> None:
         """One Newton iteration at a load factor."""
@@ -45,7 +54,7 @@ class Progress:
             f"{self.parameter} {factor:.4f}  Newton {iteration:3d}  residual {residual:.2e} N  "
             f"{now - self.began:.1f} s"
         )
-        print(f"\r\033[K{text}" if self.live else f"  ... {text}", end="" if self.live else "\n", flush=True)
+        self._print(f"\r\033[K{text}" if self.live else f"  ... {text}", "" if self.live else "\n")
 
     def time_step(self, step: TimeStep, duration: float) -> None:
         """One step in time, at most one line a while but for the last."""
@@ -59,7 +68,7 @@ class Progress:
             f"{speed:.3g} s/s, {(duration - step.time) / speed:.0f} s to go"
         )
         if self.live and step.time < duration:
-            print(f"\r\033[K{text}", end="", flush=True)
+            self._print(f"\r\033[K{text}", "")
         else:
             self.line(text)
 
