@@ -74,7 +74,8 @@ def _directions(points: Reals, triangles: Ints) -> Reals:
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     away = x - np.roll(x, -1, axis=1)
     away -= np.einsum("tki,tki->tk", away, along)[:, :, None] * along
-    return (away / np.linalg.norm(away, axis=2, keepdims=True)).reshape(-1, 3)
+    unit: Reals = (away / np.linalg.norm(away, axis=2, keepdims=True)).reshape(-1, 3)
+    return unit
 
 
 def _partners(half: Ints, group: Ints, away: Reals) -> list[Ints]:

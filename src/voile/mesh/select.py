@@ -102,7 +102,8 @@ def _places(surface: Surface, nodes: Ints, where: str) -> Ints:
         raise InputError(
             f"{where}: vertex {dropped[0]} of {surface.source} belongs to no triangle and was dropped"
         )
-    return first[place]
+    found: Ints = first[place]
+    return found
 
 
 def _group(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
