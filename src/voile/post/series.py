@@ -125,6 +125,7 @@ class Recorded:
 
 
 def is_energy(name: str) -> bool:
+    """Whether a figure is an energy (J), stored or counted since the start."""
     return name in POTENTIALS or name.endswith(SINCE_THE_START)
 
 

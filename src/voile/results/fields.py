@@ -20,6 +20,7 @@ class Field:
 
     @property
     def row_shape(self) -> tuple[int, ...]:
+        """Of one vertex' or triangle's value: () for a number."""
         return (self.components,) if self.components else ()
 
     @property

@@ -126,6 +126,7 @@ class Result:
         self.close()
 
     def close(self) -> None:
+        """Closes the file; arrays that were read stay."""
         self._file.close()
 
     @cached_property
@@ -172,6 +173,7 @@ class Result:
 
     @property
     def point_fields(self) -> tuple[str, ...]:
+        """Names of the fields at vertices that `field` takes."""
         return self._names("VTKHDF/PointData", POINT_FIELDS)
 
     @property
@@ -183,14 +185,17 @@ class Result:
 
     @property
     def cell_fields(self) -> tuple[str, ...]:
+        """Names of the fields on triangles that `field` takes."""
         return self._names("VTKHDF/CellData", CELL_FIELDS)
 
     def points(self, step: int = -1) -> Reals:
-        """(n, 3) positions, m."""
+        """(n, 3) positions at a step, m; negative steps count from the end. Raises IndexError for a step that is not
+        there, InputError for damaged data."""
         return self._rows(POINTS, self._step(step) * self.n_points, self.n_points, 3)
 
     def field(self, name: str, step: int = -1) -> Array:
-        """Point data (n, ...) or cell data (m, ...) of that name; unit: `unit(name)`."""
+        """Point data (n, ...) or cell data (m, ...) of that name at a step; unit: `unit(name)`. Raises KeyError for
+        a name that is not there, InputError for damaged data."""
         for kind, n, table, names in (
             ("Point", self.n_points, POINT_FIELDS, self.point_fields),
             ("Cell", self.n_cells, CELL_FIELDS, self.cell_fields),
