@@ -116,7 +116,7 @@ def test_defaults_are_those_of_the_interface(tmp_path):
     )
     assert dataclasses.astuple(scene.dynamics) == (
         *("implicit-euler", 0.01, 1.0),
-        *("newton", 1e-6, 20, False, 1e-3, 0.8, 1.0, (0.0, 0.0), 0.0),
+        *("newton", 1e-6, 20, False, 1e-3, 0.8, 1.0, "energy", (0.0, 0.0), 0.0),
     )
     assert dataclasses.astuple(scene.inverse) == (
         *(True, "adjoint", 0.0, 0.001, False, (), None, ()),

@@ -1,10 +1,11 @@
 """Energy from nowhere: what the books let pass, and what ends a run."""
 
 import numpy as np
-from moving import cloth
+from moving import cloth, move
 from mpi4py import MPI
 from test_problem import sheet
 
+from voile.contact.obstacles import Plane
 from voile.problem.problem import Problem
 from voile.solver.stepping.books import LOST, TOTALS, Books
 from voile.solver.stepping.creation import Creation
@@ -47,3 +48,12 @@ def test_what_residuals_work_counts_where_the_scheme_dissipates_it():
     assert creation.nonsense and said
     assert "not finite" in creation.refusal(books, entries(np.nan), short=False)
     assert set(LOST) < set(TOTALS)
+
+
+def test_a_shell_that_starts_in_an_obstacle_is_told_so():
+    """Shorter steps would only throw it out faster."""
+    ground = Plane(name="ground", point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
+    points, triangles = sheet(2, 2)
+    run = move(cloth(points, triangles), "implicit-euler", 1e-4, 1e-3, obstacles=[ground], offset=5e-4)
+    assert not run.path.converged and run.path.count == 0
+    assert "starts 0.0005 m deep in ground" in run.path.reason and "help" not in run.path.reason

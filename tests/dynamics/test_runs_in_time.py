@@ -132,6 +132,7 @@ def test_a_run_killed_before_its_first_step_starts_again(scene, tmp_path):
         ("obstacle.0.restitution=0.5", "moreau-jean"),
         ("dynamics.theta=0.4", "dynamics.theta"),
         ("dynamics.spectral_radius=1.1", "dynamics.spectral_radius"),
+        ('dynamics.keeps="angular-momentum"', "theta = 0.5"),
         ("obstacle.0.move.until=0", "obstacle.0.move.until"),
         ('obstacle.0.move={path="motion.csv"}', "motion.csv"),
         ("loads.history=[[0,1],[0,2]]", "loads.history"),

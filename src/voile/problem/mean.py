@@ -2,7 +2,9 @@
 
 The mean over x_s = x_0 + s (x - x_0), 0 < s <= 1, works exactly minus the change of the elastic energy (the average
 vector field method of Quispel & McLaren 2008), so a scheme that uses it can neither gain nor lose elastic energy,
-however stiff the shell is. It has a potential in x, the sum of weight/s E(x_s) over a quadrature's places s.
+however stiff the shell is. The force in the middle of the way keeps the angular momentum instead, which turns about
+the middle of a step's way (Simo, Tarnow & Wong 1992). Both have a potential in x, the sum of weight/s E(x_s) over the
+places s.
 """
 
 from collections.abc import Iterator
@@ -31,6 +33,11 @@ def mean_nodes(share: float) -> Nodes:
     jacobi = np.array([[m1, np.sqrt(variance)], [np.sqrt(variance), other]])
     places, vectors = np.linalg.eigh(jacobi)  # Golub & Welsch 1969
     return tuple(zip(places.tolist(), (vectors[0] ** 2).tolist(), strict=True))
+
+
+def middle_nodes(share: float) -> Nodes:
+    """`share` times the value in the middle of the way plus 1 - share times that at its end."""
+    return tuple((s, weight) for s, weight in ((0.5, share), (1.0, 1.0 - share)) if weight)
 
 
 @dataclass

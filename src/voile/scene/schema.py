@@ -229,6 +229,16 @@ class Scene:
                 f"allowed: at least {self.dynamics.duration / MOST_STEPS:g} s, a run has {MOST_STEPS:g} steps at most",
                 ("dynamics", "time_step"),
             )
+        d = self.dynamics
+        centred = (d.scheme, d.theta) == ("moreau-jean", 0.5) or (
+            (d.scheme, d.spectral_radius) == ("generalized-alpha", 1.0)
+        )
+        if d.keeps != "energy" and not centred:
+            raise Rejected(
+                f'"{d.keeps}" fits scheme = "moreau-jean" with theta = 0.5, or "generalized-alpha" with '
+                "spectral_radius = 1",
+                ("dynamics", "keeps"),
+            )
         local = self.scene.task == "dynamics" and self.dynamics.solver == "local-global"
         if local and self.shell.model != "projective":
             raise Rejected(

@@ -114,6 +114,11 @@ class Dynamics:
     theta: float = key(
         Number(least=0.5, most=1), "moreau-jean: weight of the forces at the step's end", default=1.0
     )
+    keeps: str = key(
+        Choice("energy", "angular-momentum"),
+        "moreau-jean with theta 1/2, generalized-alpha with spectral_radius 1: what a step keeps to round-off",
+        default="energy",
+    )
     damping: Damping = key(Table(Damping), "Rayleigh damping", default=Damping())
     stop_at_rest: float = key(
         Number("m/s", least=0), "ends the run once nothing is faster; 0: never", default=0.0

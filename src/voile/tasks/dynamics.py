@@ -16,7 +16,7 @@ def run(job: Run) -> str:
     """Solves a dynamics scene and writes its results; the reason why it did not reach its end, or empty."""
     d = job.scene.dynamics
     job.progress.parameter = "time"
-    scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta))
+    scheme = SCHEMES[d.scheme](SchemeOptions(d.spectral_radius, d.theta, d.keeps))
     options = TimeOptions(
         scheme,
         d.time_step,

@@ -7,7 +7,7 @@ import numpy as np
 from voile.arrays import Flags, Reals
 from voile.problem.damping import Air, Damping, Viscous, Wind
 from voile.problem.inertia import Dead, Inertia
-from voile.problem.mean import END, MeanElastic, MeanTerm, Nodes, mean_nodes
+from voile.problem.mean import END, MeanElastic, MeanTerm, Nodes
 from voile.problem.problem import Problem
 from voile.problem.terms import Point, Term
 from voile.solver.stepping.schemes import Kinematics, Prediction, Scheme
@@ -30,7 +30,7 @@ class StepForces:
 
     def __post_init__(self) -> None:
         problem, early = self.problem, self.scheme.early
-        nodes = mean_nodes(2.0 * early)
+        nodes = self.scheme.nodes
         self.elastic = self._mean(nodes)
         self.springs = problem.springs
         if nodes != END:

@@ -3,8 +3,9 @@
 A step from t_n over h solves coefficient M (x - predicted) = F + r for the positions x at its end, r the contacts'
 reactions; then v = rate (x - still) and a = coefficient (x - predicted). F is (1 - early) times the forces at the end
 and `early` times those at the start; of the elastic force, twice `early` its mean over the way instead (see
-problem.mean), which neither gains nor loses energy. Where a contact bears or a support moves, velocities jump: there
-every scheme moves as implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
+problem.mean), which neither gains nor loses energy, or that in its middle, which keeps angular momentum. Where a
+contact bears or a support moves, velocities jump: there every scheme moves as implicit Euler's, whose v = (x - x_n) / h
+is what the contact's law leaves.
 """
 
 from collections.abc import Callable
@@ -13,6 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from voile.arrays import Flags, Reals
+from voile.problem.mean import Nodes, mean_nodes, middle_nodes
+
+ENERGY, ANGULAR_MOMENTUM = (
+    "energy",
+    "angular-momentum",
+)  # what is kept without contact, with half of the forces early
+KEEPING = {ENERGY: mean_nodes, ANGULAR_MOMENTUM: middle_nodes}
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,11 @@ class Scheme:
         return 2
 
     @property
+    def nodes(self) -> Nodes:
+        """Where on a step's way the elastic force is taken, with weights."""
+        return mean_nodes(2.0 * self.early)
+
+    @property
     def early(self) -> float:
         """Share of the forces at a step's start; 0 to 1/2."""
         return 0.0
@@ -134,6 +147,11 @@ class GeneralizedAlpha(Scheme):
     frequencies. The filtered acceleration b obeys (1 - alpha_m) b + alpha_m b_n = a."""
 
     spectral_radius: float
+    keeps: str = ENERGY
+
+    @property
+    def nodes(self) -> Nodes:
+        return KEEPING[self.keeps](2.0 * self.early)
 
     @property
     def memory(self) -> bool:
@@ -174,6 +192,11 @@ class MoreauJean(Scheme):
     contact, where it keeps the energy."""
 
     theta: float
+    keeps: str = ENERGY
+
+    @property
+    def nodes(self) -> Nodes:
+        return KEEPING[self.keeps](2.0 * self.early)
 
     @property
     def order(self) -> int:
@@ -201,11 +224,12 @@ class SchemeOptions:
 
     spectral_radius: float = 0.8
     theta: float = 1.0
+    keeps: str = ENERGY
 
 
 SCHEMES: dict[str, Callable[[SchemeOptions], Scheme]] = {
     "implicit-euler": lambda _: ImplicitEuler(),
     "bdf2": lambda _: Bdf2(),
-    "generalized-alpha": lambda asked: GeneralizedAlpha(asked.spectral_radius),
-    "moreau-jean": lambda asked: MoreauJean(asked.theta),
+    "generalized-alpha": lambda asked: GeneralizedAlpha(asked.spectral_radius, asked.keeps),
+    "moreau-jean": lambda asked: MoreauJean(asked.theta, asked.keeps),
 }

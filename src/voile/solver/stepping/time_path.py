@@ -17,11 +17,12 @@ from voile.problem.contact import contact_report
 from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.scales import force_floor, least_area, slow_rate
+from voile.problem.scales import force_floor, slow_rate
 from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
+from voile.solver.stepping.blame import crushed, starts_inside
 from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.creation import Creation
 from voile.solver.stepping.forces import StepForces
@@ -34,9 +35,9 @@ class Options:
     last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
     that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. crushed:
-    of a triangle's area at rest, which is blamed for a failure. closes: of the most energy that there was, what the
-    books may miss at the end; steps that take more than their share of it are solved more sharply."""
+    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. closes: of
+    the most energy that there was, what the books may miss at the end; steps that take more than their share of it are
+    solved more sharply."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -46,7 +47,6 @@ class Options:
     rest: float = 2.0
     digits: float = 4.0
     finest: float = 1.0 / 256.0
-    crushed: float = 0.1
     closes: float = 5e-9
 
 
@@ -196,8 +196,7 @@ class Stepper:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
                 hopeless = path.length < self.options.smallest * asked.time_step
                 if hopeless or self.creation.nonsense:
-                    blame = f"; {asked.advice} help" if self.creation.nonsense else self._blame()
-                    path.reason = f"{outcome.reason}; at time {path.time:g} s{blame}"
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s{self._blame()}"
                     return
                 continue
             grown = self.wish or max(path.length, self.options.longer * h)
@@ -214,11 +213,11 @@ class Stepper:
         path.converged, path.reason = True, "end of the simulated time"
 
     def _blame(self) -> str:
-        """What is wrong with the shape from which no step leads on, where that can be seen."""
-        share = least_area(self.problem, self.y)
-        if share > self.options.crushed:
-            return ""
-        return f"; a triangle is crushed to {share:.2g} of its area at rest, which material = neo-hookean resists"
+        """What is wrong with the shape from which no step leads on, where that can be seen, or what helps."""
+        inside = "" if self.path.count else starts_inside(self.problem, self.y)
+        if self.creation.nonsense:
+            return inside or f"; {self.asked.advice} help"
+        return inside or crushed(self.problem, self.y)
 
     def _rests(self, done: TimeStep) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
