@@ -130,3 +130,68 @@ def test_frames_that_are_none(fix, message):
 def _obj(points: np.ndarray, triangles: np.ndarray) -> str:
     lines = ["v " + " ".join(f"{c:.17g}" for c in x) for x in points]
     return "\n".join(lines + ["f " + " ".join(str(i + 1) for i in t) for t in triangles]) + "\n"
+
+
+@pytest.mark.parametrize("clamp", [False, True])
+def test_a_support_that_rotates_takes_a_shell_along(clamp):
+    """A sheet on one rotating edge, clamped in it, or on three rotating corners: it turns by 1 rad as it is."""
+    points, triangles = sheet(4, SIZE)
+    turn, center = Rotation.from_rotvec([0.6, 0.8, 0.0]).as_matrix(), np.array([0.0, 0.02, 0.01])
+    edge = {"box": [[-1, -1, -1], [1e-6, 1, 1]]}
+    corners = {"nodes": [0, 4, 24]}
+    fix = {"select": edge if clamp else corners, "clamp": clamp}
+    fix["move"] = {"rotation": [0.6, 0.8, 0.0], "center": center.tolist()}
+    result = voile.run(
+        {
+            "shell": {"mesh": (points, triangles), "young": 1e7, "thickness": 1e-3, "density": 300.0},
+            "loads": {"gravity": [0, 0, 0]},
+            "fix": [fix],
+        }
+    )
+    assert abs(result.positions - ((points - center) @ turn.T + center)).max() < 1e-9 * SIZE
+    assert abs(sum(result.summary["energy"].values())) < 1e-15
+
+
+def test_a_clamp_that_rotates_bends_a_strip():
+    """Both ends clamped, one turned by theta about the edge: moments 4 and 2 E I theta / L, force 6 E I theta / L^2."""
+    length, width, theta = 0.2, 0.02, 1e-4
+    points, triangles = sheet(40, length)
+    points[:, 1] *= width / length
+    points, triangles = _coarsened(points, triangles, 40, 10)
+    ends = {"box": [[-1, -1, -1], [1e-6, 1, 1]]}, {"box": [[length - 1e-6, -1, -1], [1, 1, 1]]}
+    move = {"rotation": [0.0, theta, 0.0], "center": [length, 0.0, 0.0]}
+    result = voile.run(
+        {
+            "shell": {"mesh": (points, triangles), "young": 1e9, "poisson": 0.0, "thickness": 1e-3, "density": 1.0},
+            "loads": {"gravity": [0, 0, 0]},
+            "fix": [{"select": ends[0], "clamp": True}, {"select": ends[1], "clamp": True, "move": move}],
+        }
+    )  # fmt: skip
+    still, turned = result.summary["supports"]
+    stiffness = 1e9 * width * 1e-9 / 12.0 * theta / length
+    assert turned["moment"][1] == pytest.approx(4.0 * stiffness, rel=0.02)
+    assert still["moment"][1] == pytest.approx(2.0 * stiffness, rel=0.02)
+    assert abs(turned["force"][2]) == pytest.approx(6.0 * stiffness / length, rel=0.02)
+
+
+def _coarsened(points, triangles, count, keep):
+    """The first strips of a sheet of count x count cells, `keep` of them over its whole width."""
+    column = np.arange(count + 1) % (count // keep) == 0
+    x = points.reshape(count + 1, count + 1, 3)[:, column]
+    rows, columns = x.shape[:2]
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    right, both = corner + columns, corner + columns + 1
+    lower, upper = np.stack([corner, right, both], 1), np.stack([corner, both, corner + 1], 1)
+    return x.reshape(-1, 3), np.concatenate([lower, upper])
+
+
+def test_clamps_that_may_not_rotate():
+    scene = shell(np.eye(3), scene={"task": "dynamics"})
+    scene["fix"] = [
+        {"select": {"box": [[-1, -1, -1], [1e-6, 1, 1]]}, "clamp": True, "move": {"rotation": [0, 0.1, 0]}}
+    ]
+    with pytest.raises(InputError, match="a clamp that rotates"):
+        voile.run(scene)
+    scene["scene"] = {"task": "modes"}
+    with pytest.raises(InputError, match=r"fix\.0\.move\.rotation: allowed with task = statics or dynamics"):
+        voile.run(scene)

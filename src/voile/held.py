@@ -32,7 +32,7 @@ def supports_of(
         vertices = select(surface, loops, fix.select, where)
         frame = frame_axes(fix.frame or GLOBAL)
         directions = frame[["xyz".index(axis) for axis in fix.axes]]
-        move = np.zeros(3) if fix.move is None else fix.move.displacement @ frame
+        move = np.zeros(3) if fix.move is None or _by_law(scene, fix.move) else fix.move.displacement @ frame
         holds.append(Hold(fix.name or f"fix {k}", vertices, directions, fix.clamp, move))
         if fix.clamp:
             inside = np.zeros(n, dtype=bool)
@@ -76,18 +76,21 @@ def _beyond(surface: Surface, point: Reals, normal: Reals) -> tuple[Ints, Reals]
     return np.flatnonzero((height > 0.0) & ~on), np.where(on, share, 0.0)
 
 
+def _by_law(scene: Scene, move: Move | None) -> bool:
+    """Whether there is a motion that is no displacement in proportion to the load factor."""
+    return move is not None and (scene.scene.task == "dynamics" or any(move.rotation))
+
+
 def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]:
-    """With task = dynamics: the supports that move, and how. Raises InputError if two tables move a vertex and neither
-    alike nor at right angles."""
-    if scene.scene.task != "dynamics":
-        return ()
+    """The supports that rotate, in time all that move, and how. Raises InputError if two tables move a vertex, neither
+    alike nor at right angles, and for a clamp that rotates in time."""
     moves = []
     for k, (fix, hold) in enumerate(zip(scene.fix, holds, strict=True)):
         mine = hold.vertices
         for other, before in zip(scene.fix[:k], holds, strict=False):
             both = np.intersect1d(mine, before.vertices)
             across = np.abs(before.directions @ hold.directions.T).max() < RIGHT
-            if not len(both) or across or not (fix.move or other.move):
+            if not len(both) or across or not (_by_law(scene, fix.move) or _by_law(scene, other.move)):
                 continue
             if fix.move != other.move or np.abs(before.projection - hold.projection).max() > RIGHT:
                 raise InputError(
@@ -95,8 +98,13 @@ def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]
                     f"{before.name}; allowed: the same motion, or directions at right angles"
                 )
             mine = np.setdiff1d(mine, both)
-        if fix.move:
-            moves.append((mine, motion_of(scene, _along_axes(fix.move, fix.frame))))
+        if fix.move and _by_law(scene, fix.move):
+            motion = motion_of(scene, _along_axes(fix.move, fix.frame))
+            if fix.clamp and motion.turns and scene.scene.task == "dynamics":
+                raise InputError(
+                    f"{scene.path}: fix.{k}.clamp: a clamp that rotates; allowed: with task = statics, or clamp = false"
+                )
+            moves.append((mine, motion))
     return tuple(moves)
 
 

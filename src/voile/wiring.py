@@ -1,7 +1,7 @@
 """From a scene to arrays: reads the meshes a scene names and lays out shell, supports and loads. For commands only."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +73,7 @@ def build_model(scene: Scene) -> Model:
     loops = surface_loops(surface, topology)
     holds, clamped = supports_of(scene, surface, topology, loops)
     moves = moves_of(scene, holds)
-    still = [replace(hold, displacement=np.zeros(3)) for hold in holds] if moves else holds
-    axes, fixed, motion = combined(still, len(surface.points), f"{scene.path}: fix")
+    axes, fixed, motion = combined(holds, len(surface.points), f"{scene.path}: fix")
     on = Attached(surface, topology, loops, str(scene.path))
     thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
     shrink = _fabric(scene, surface, "shrink")
@@ -161,7 +160,7 @@ def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
     """Whether anything may press the shell on obstacles, so that they hold it."""
     loads = (shell.gravity, shell.pressed, shell.force, shell.moment, shell.motion)
     loaded = any(load is not None and np.any(load) for load in loads)
-    return loaded or any(body.moves for body in bodies)
+    return loaded or bool(shell.moves) or any(body.moves for body in bodies)
 
 
 def _check_modes(scene: Scene, shell: Shell, bodies: list[Obstacle]) -> None:

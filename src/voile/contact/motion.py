@@ -28,6 +28,11 @@ class Motion:
         return bool(np.any(self.displacement) or np.any(self.rotation))
 
     @property
+    def turns(self) -> bool:
+        """Whether the body ever rotates."""
+        return bool(np.any(self.rotation))
+
+    @property
     def ends(self) -> float:
         """Time after which it stays where it is."""
         return math.inf if self.moves else 0.0
@@ -99,6 +104,10 @@ class Track(Motion):
     @property
     def moves(self) -> bool:
         return bool(self.rows.any())
+
+    @property
+    def turns(self) -> bool:
+        return bool(self.rows[:, 3:].any())
 
     @property
     def ends(self) -> float:

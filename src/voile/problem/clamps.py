@@ -8,6 +8,7 @@ from voile.errors import InputError
 from voile.problem.local_axes import principal
 from voile.problem.shell import Shell, area_vectors
 
+LEVEL = 1e-6  # sine of an angle between normals that are one
 IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does
 
 
@@ -64,6 +65,31 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
         )
     vector = np.einsum("kai,ka->ki", axes, np.where(use_conormal[:, None], conormal, director))
     return np.column_stack([half, use_conormal, at_rest, vector]), angles
+
+
+def clamp_laws(shell: Shell, clamps: Reals) -> Reals:
+    """Rows (k, 7) of clamps, those of `held_directors` and the index in shell.moves of the motion that they turn with,
+    -1 where none does: where it rotates both ends of their edges. Raises InputError where the rest shape is at rest in
+    such a clamp but not level in it."""
+    law, half = np.full(len(clamps), -1), clamps[:, 0].astype(np.int64)
+    ends = np.column_stack([shell.triangles[half // 3, (half + turn) % 3] for turn in (1, 2)])
+    for k, (vertices, motion) in enumerate(shell.moves):
+        if motion.turns:
+            law[np.isin(ends, vertices).all(axis=1)] = k
+    clamps = np.column_stack([clamps, law])
+    turned = np.flatnonzero((law >= 0) & (clamps[:, 2] > 0.0))
+    if len(turned):
+        start, rest = (
+            _unit(area_vectors(x, t)[half[turned] // 3])
+            for x, t in ((shell.points, shell.triangles), (shell.rest_points, shell.rest_triangles))
+        )
+        if np.abs(start - rest).max() > LEVEL:
+            raise InputError(
+                f"fix: the clamp of vertices {ends[turned[0]].tolist()} rotates; allowed: with a rest shape that "
+                "starts level in it"
+            )
+        clamps[turned, 2] = 0.0  # level: it has no angle to the clamp
+    return clamps
 
 
 def _lies_at_rest(shell: Shell, triangle: Ints, corner: Ints) -> Flags:

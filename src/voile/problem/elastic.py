@@ -23,6 +23,7 @@ class Elastic(Term):
         self.part, self.model, self.flat = part, model, flat
         self.seconds, self.stiffness, self.passes = 0.0, 1.0, False
         self._twins: list[Elastic] = []
+        self._time, self._turns = 0.0, bool((part.half_edge_clamp[:, 6] >= 0.0).any())
         self.count_from(part.points)
 
     def count_from(self, start: Reals) -> None:
@@ -30,7 +31,7 @@ class Elastic(Term):
         self._start = start
         for twin in self._twins:
             twin.count_from(start)
-        self.kernel = make_kernel(self.part, self.model, start, self.flat)
+        self.kernel = make_kernel(self.part, self.model, start, self.flat, self._time)
         if self.stiffness != 1.0:
             self._stiffen()
 
@@ -38,6 +39,14 @@ class Elastic(Term):
         """Takes the part's present rest shape."""
         self.flat = flat
         self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, flat)
+
+    def at(self, time: float) -> _kernels.Elastic:
+        """The kernel with its clamps as they are at a time."""
+        if self._turns and time != self._time:
+            self._time = time
+            _set_clamps(self.kernel, self.part, time)
+            self.kernel.set_rest(self.part.rest_points, self.part.rest_corners, self.flat)
+        return self.kernel
 
     def twin(self, number: int) -> "Elastic":
         """The same with a kernel of its own, for what is evaluated at several points."""
@@ -74,20 +83,20 @@ class Elastic(Term):
 
     def energies(self, at: Point) -> dict[str, float]:
         with self.timed():
-            stretching, bending = self.kernel.energy(at.u, at.phi)
+            stretching, bending = self.at(at.time).energy(at.u, at.phi)
         return {"stretching": stretching, "bending": bending}
 
     def forces(self, at: Point) -> Reals:
         gradient, edge_gradient = np.zeros_like(at.u), np.zeros_like(at.phi)
         with self.timed():
-            self.kernel.gradient(at.u, at.phi, gradient, edge_gradient)
+            self.at(at.time).gradient(at.u, at.phi, gradient, edge_gradient)
         return -np.concatenate([gradient, edge_gradient])
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
-        self.kernel.hessian(at.u, at.phi, kind, scatter)
+        self.at(at.time).hessian(at.u, at.phi, kind, scatter)
 
     def predict(self, at: Point, step: Reals) -> None:
-        self.kernel.predict(at.u, at.phi, step[: len(at.u)], step[len(at.u) :])
+        self.at(at.time).predict(at.u, at.phi, step[: len(at.u)], step[len(at.u) :])
 
     def longest_step(self, at: Point, step: Reals, most: float) -> float:
         """None on which a hinge turns through 180 degrees or that ends beyond a barrier of the model; 0 where even a
@@ -101,12 +110,14 @@ class Elastic(Term):
 
     def _admits(self, at: Point, u: Reals, phi: Reals) -> bool:
         """Whether the way to displacements u and director angles phi is one."""
-        folds = not self.passes and self.kernel.folds_over(at.u, at.phi, u, phi)
-        return not folds and bool(np.isfinite(sum(self.kernel.energy(u, phi))))
+        kernel = self.at(at.time)
+        folds = not self.passes and kernel.folds_over(at.u, at.phi, u, phi)
+        return not folds and bool(np.isfinite(sum(kernel.energy(u, phi))))
 
 
-def make_kernel(part: Part, model: str, start: Reals, flat: bool) -> _kernels.Elastic:
-    """The model with displacements that count from `start` (local vertices, 3) m; flat: its rest shape has no folds."""
+def make_kernel(part: Part, model: str, start: Reals, flat: bool, time: float) -> _kernels.Elastic:
+    """The model with displacements that count from `start` (local vertices, 3) m and clamps as they are at a time;
+    flat: its rest shape has no folds."""
     kernel = _kernels.Elastic(
         model,
         part.corners,
@@ -116,13 +127,22 @@ def make_kernel(part: Part, model: str, start: Reals, flat: bool) -> _kernels.El
         len(part.edge),
         np.ascontiguousarray(start),
     )
-    clamp = part.half_edge_clamp
-    if len(clamp):
-        half_edge, conormal, at_rest = np.ascontiguousarray(clamp[:, :3].astype(np.int32).T)
-        kernel.set_clamps(half_edge, conormal, at_rest, np.ascontiguousarray(clamp[:, 3:]))
+    if len(part.half_edge_clamp):
+        _set_clamps(kernel, part, time)
     kernel.set_rest(part.rest_points, part.rest_corners, flat)
     kernel.set_fabric(*(np.ascontiguousarray(row) for row in part.fabric[:3]))
     if part.weave.size:
         kernel.set_weave(np.ascontiguousarray(part.weave))
     kernel.set_weights(part.weight)
     return kernel
+
+
+def _set_clamps(kernel: _kernels.Elastic, part: Part, time: float) -> None:
+    """Gives a kernel the clamps of a part as they are at a time."""
+    clamp = part.half_edge_clamp
+    half_edge, conormal, at_rest = np.ascontiguousarray(clamp[:, :3].astype(np.int32).T)
+    vectors = clamp[:, 3:6].copy()
+    for k, motion in enumerate(part.turns):
+        mine = clamp[:, 6] == k
+        vectors[mine] = vectors[mine] @ motion.turn(time).T
+    kernel.set_clamps(half_edge, conormal, at_rest, vectors)

@@ -132,6 +132,7 @@ def _between(start: Point, at: Point, s: float) -> Point:
     displacement = start.displacement + s * (at.displacement - start.displacement)
     return replace(
         at,
+        time=start.time + s * (at.time - start.time),
         u=displacement - (at.displacement - at.u),
         phi=start.phi + s * (at.phi - start.phi),
         displacement=displacement,

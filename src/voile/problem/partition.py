@@ -14,7 +14,8 @@ import scipy.sparse as sp
 from mpi4py import MPI
 
 from voile.arrays import Ints, Reals
-from voile.problem.clamps import held_directors
+from voile.contact.motion import Motion
+from voile.problem.clamps import clamp_laws, held_directors
 from voile.problem.constraints import Constraints, build_constraints
 from voile.problem.held import Supports
 from voile.problem.shell import Shell, hilbert_order, triangle_areas
@@ -55,7 +56,10 @@ class Part:
     springs: Reals  # (vertices, 3) N/m, empty without
     bars: Reals  # (b, 7) all: input vertices, N/m, m, local vertices or -1 where not here, whether it counts here
     extra_mass: Reals  # (vertices,) kg
-    half_edge_clamp: Reals  # (k, 6): local half edge, flags conormal and at rest, vector
+    half_edge_clamp: (
+        Reals  # (k, 7): local half edge, flags conormal and at rest, vector, which of `turns` or -1
+    )
+    turns: tuple[Motion, ...]  # of moving supports
     owned: int
     first_global: int
     ghost_global: Ints
@@ -161,6 +165,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
     try:
         constraints = build_constraints(shell, directors)
         clamps, angles = held_directors(shell, directors)
+        clamps = clamp_laws(shell, clamps)
         constraints.closure[3 * len(shell.points) :] = angles
         numbering = number_unknowns(shell, constraints, comm.size)
     except Exception as failure:
@@ -173,7 +178,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
 
 
 def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: Reals) -> Part:
-    """The part of one rank. clamps (k, 6) as Part.half_edge_clamp, with global half edges."""
+    """The part of one rank. clamps (k, 7) as Part.half_edge_clamp, with global half edges."""
     n, topology = len(shell.points), shell.topology
     edges = len(topology.edges)
     triangles = _needed_triangles(shell, constraints, numbering, rank)
@@ -237,6 +242,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         bars=_bars(shell, vertex_local, numbering.node_owner, rank),
         extra_mass=np.zeros(len(vertex)) if shell.extra_mass is None else shell.extra_mass[vertex],
         half_edge_clamp=mine,
+        turns=tuple(motion for _, motion in shell.moves),
         owned=int(end - begin),
         first_global=int(begin),
         ghost_global=ghost,

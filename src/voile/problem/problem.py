@@ -111,7 +111,7 @@ class Problem:
     @property
     def kernel(self) -> _kernels.Elastic:
         """That of the elastic model."""
-        return self.elastic.kernel
+        return self.elastic.at(self.time)
 
     @property
     def seconds(self) -> dict[str, float]:

@@ -197,6 +197,9 @@ class Scene:
                             "the target is where all motion has ended; allowed with task = inverse: no move",
                             (table, index, "move"),
                         )
+        for index, fix in enumerate(self.fix):
+            if fix.move and any(fix.move.rotation) and self.scene.task not in ("statics", "dynamics"):
+                raise Rejected("allowed with task = statics or dynamics", ("fix", index, "move", "rotation"))
         if self.scene.task != "dynamics":
             for name in ("wind", "drag", "history"):
                 value = getattr(self.loads, name)
