@@ -208,7 +208,7 @@ ease = 0.01
 between = ["front", "right"]
 ease = 0.01
 [[pattern.seam]]
-between = ["front"]
+select = { box = [[-1, 0.0, -1], [1, 0.5, 1]] }
 allowance = 0.03
 """
 
@@ -232,8 +232,10 @@ def test_a_scene_asks_for_all_of_it(tmp_path, capsys):
     assert np.ptp(left, axis=0) == pytest.approx(np.ptp(right, axis=0), abs=1e-12)
     eased = [seam for seam in pattern.seams if seam.ease]
     assert len(eased) == 2 and max(seam.mismatch for seam in pattern.seams) < 2e-3
-    hem = pieces["front"].points[:, 1].min() - pieces["front"].cut[0][:, 1].min()
-    assert hem == pytest.approx(0.03, abs=1e-4)
+    for name in ("front", "left", "right"):  # the grain of the back is its long axis, either way up
+        y, cut = pieces[name].points[:, 1], pieces[name].cut[0][:, 1]
+        assert y.min() - cut.min() == pytest.approx(0.03, abs=1e-3)  # the hem
+        assert cut.max() - y.max() == pytest.approx(0.01, abs=2e-3)  # the waist, whose corners point upwards
 
 
 @pytest.mark.parametrize(
@@ -243,6 +245,8 @@ def test_a_scene_asks_for_all_of_it(tmp_path, capsys):
         ('[[pattern.panel]]\npanel = "back"\ngrain = "up"\n', 'is not allowed; allowed: "tube", "long"'),
         ('[[pattern.seam]]\nbetween = ["front", "back"]\nease = 0.01\n', "no seam joins 'front' and 'back'"),
         ('[[pattern.seam]]\nbetween = ["front"]\nease = 0.01\n', "of a free border; allowed: between two panels"),
+        ('[[pattern.seam]]\nallowance = 0.01\n', "missing; allowed: between, select or both"),
+        ('[[pattern.seam]]\nselect = { boundary = 7 }\nallowance = 0.01\n', "pattern.seam.0.select"),
         ('[[pattern.seam]]\nbetween = ["front"]\n', "says nothing of the seam; allowed: with allowance or ease"),
         ('[[pattern.seam]]\nbetween = ["front"]\nallowance = 9.0\n', "pattern.seam.0.allowance: 9 m; allowed: at most"),
         ('[pattern]\nsymmetric = "y"\n', "has no mirror image over y"),

@@ -45,7 +45,8 @@ def run(args: argparse.Namespace) -> None:
             print(out / f"layout{ending}")
         used, sizes = 100 * efficiency(pattern), pattern.fabric or ()
         fabric = " x ".join(f"{size:.3f}" for size in sizes)
-        print(f"{len(pattern.pieces)} pieces on {fabric} m of fabric, {used:.1f} % used")
+        count = len(pattern.pieces)
+        print(f"{count} piece{'s' * (count != 1)} on {fabric} m of fabric, {used:.1f} % used")
     if args.pages is not None:
         pages = write_pages(out / "pages", pattern, args.pages)
         print(

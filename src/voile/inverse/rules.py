@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.errors import InputError
 from voile.mesh import is_called
 
@@ -21,12 +21,14 @@ class PanelRule:
 
 @dataclass(frozen=True)
 class SeamRule:
-    """Seams between the two panels named, or the free border of one: allowance (m), None the pattern's; ease (m): by
-    how much the first one's side is longer."""
+    """Seams between the two panels named, or the free border of one, or of all: allowance (m), None the pattern's; ease
+    (m): by how much the first one's side is longer; vertices (k,): of the surface, between which a free border is
+    meant, None for all of it."""
 
     between: tuple[str, ...]
     allowance: float | None = None
     ease: float = 0.0
+    vertices: Ints | None = None
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,26 @@ def allowances(panels: Any, seams: Sequence[SeamRule], allowance: float) -> tupl
             }
     found = []
     for name, outline in zip(panels.names, panels.outlines, strict=True):
-        free = [r.allowance for r in seams if len(r.between) == 1 and is_called(name, r.between[0])]
-        border = next((width for width in free[::-1] if width is not None), allowance)
+        border = _borders(name, panels.vertex[outline], seams, allowance)
         pairs = zip(outline.tolist(), np.roll(outline, -1).tolist(), strict=True)
-        found.append(np.array([along.get(frozenset(ends), border) for ends in pairs]))
+        widths = zip(pairs, border.tolist(), strict=True)
+        found.append(np.array([along.get(frozenset(ends), width) for ends, width in widths]))
     return found, at_seam
+
+
+def _borders(name: str, around: Ints, seams: Sequence[SeamRule], allowance: float) -> Reals:
+    """(b,) allowance of each edge of a panel's outline, given by surface vertices (b,), were it free."""
+    found = np.full(len(around), allowance)
+    for rule in seams:
+        if (
+            rule.allowance is None
+            or len(rule.between) > 1
+            or not all(is_called(name, n) for n in rule.between)
+        ):
+            continue
+        meant = np.ones(len(around), dtype=bool)
+        if rule.vertices is not None:
+            ends = np.isin(around, rule.vertices)
+            meant = ends & np.roll(ends, -1)
+        found[meant] = rule.allowance
+    return found

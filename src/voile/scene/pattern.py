@@ -7,6 +7,7 @@ from typing import Any
 from voile.errors import InputError
 from voile.keys import Array, Choice, Grain, Number, Rejected, Tables, Text, key
 from voile.mesh import is_called
+from voile.scene.loads import SELECT, SELECTED
 
 AXES = ("x", "y", "z")
 
@@ -25,7 +26,11 @@ class PatternPanel:
 class PatternSeam:
     between: tuple[str, ...] = key(
         Array(Text(filled=True), least=1),
-        "the two panels (or groups) that the seam joins; one: its free border",
+        "the two panels (or groups) that the seam joins; one: its free border; default: that of all panels",
+        default=(),
+    )
+    select: dict[str, Any] | None = key(
+        SELECT, f"of free borders: the part between these vertices, as a hem; {SELECTED}", default=None
     )
     allowance: float | None = key(
         Number("m", least=0),
@@ -43,7 +48,11 @@ class PatternSeam:
             raise Rejected(f"{list(self.between)}; allowed: one or two names", ("between",))
         if self.ease and len(self.between) < 2:
             raise Rejected("of a free border; allowed: between two panels", ("ease",))
-        if len(given) < 2:
+        if self.select and len(self.between) > 1:
+            raise Rejected("of a seam between two panels; allowed: of free borders", ("select",))
+        if not self.between and self.select is None:
+            raise Rejected("missing; allowed: between, select or both", ("between",))
+        if not given & {"allowance", "ease"}:
             raise Rejected("says nothing of the seam; allowed: with allowance or ease", ("between",))
 
 

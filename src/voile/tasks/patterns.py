@@ -16,7 +16,7 @@ from voile.inverse.pattern import make_pattern, pattern_summary, sewing
 from voile.inverse.rules import NO_RULES, PanelRule, Rules, SeamRule, check_rules
 from voile.inverse.stitched import add_stitches
 from voile.inverse.symmetric import mirror_map, symmetrised
-from voile.mesh import Pattern, Surface, build_topology
+from voile.mesh import Pattern, Surface, build_topology, select, surface_loops
 from voile.problem.shell import Shell
 from voile.scene.pattern import AXES
 from voile.scene.schema import Scene
@@ -98,7 +98,7 @@ def moved(flat: FlatPanels, coordinates: Reals) -> FlatPanels:
 
 def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
     """Raises InputError, before anything is solved, where the scene's pattern does not fit the target's panels."""
-    rules = wishes(scene)
+    rules = wishes(scene, model)
     if rules == NO_RULES or shell is None:
         return
     panels = _cut(model, shell, shell.points)
@@ -109,9 +109,9 @@ def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
 
 def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[[Reals], Reals] | None:
     """What makes coordinates (p, 2) of the panels (rank 0) symmetric, on all ranks; None where not asked for."""
-    axis = wishes(scene).symmetric
-    if axis is None:
+    if not isinstance(scene.pattern.symmetric, str):
         return None
+    axis = AXES.index(scene.pattern.symmetric)
     mirror = on_root(comm, lambda: flat and mirror_map(flat.panels, axis))
 
     def even(x: Reals) -> Reals:
@@ -121,21 +121,27 @@ def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[
     return even
 
 
-def wishes(scene: Scene) -> Rules:
-    """What the scene's pattern asks of panels and seams."""
-    wish = scene.pattern
+def wishes(scene: Scene, model: Model) -> Rules:
+    """What the scene's pattern asks of panels and seams. Raises InputError for a selection of nothing."""
+    wish, surface = scene.pattern, model.surface
+    loops = surface_loops(surface, model.shell.topology)
+
+    def vertices(k: int) -> Ints | None:
+        spec, where = wish.seam[k].select, f"{scene.path}: pattern.seam.{k}.select"
+        return None if spec is None else select(surface, loops, spec, where)
+
     return Rules(
         tuple(PanelRule(panel.panel, panel.grain) for panel in wish.panel),
-        tuple(SeamRule(seam.between, seam.allowance, seam.ease) for seam in wish.seam),
+        tuple(SeamRule(s.between, s.allowance, s.ease, vertices(k)) for k, s in enumerate(wish.seam)),
         AXES.index(wish.symmetric) if isinstance(wish.symmetric, str) else None,
     )
 
 
-def draw(flat: FlatPanels, scene: Scene, up: Reals | None) -> Pattern:
+def draw(flat: FlatPanels, scene: Scene, model: Model, up: Reals | None) -> Pattern:
     """The pattern of flat panels as the scene asks, its grain along `up` in space. Raises InputError for one that
     overlaps itself, or that does not fit the scene's keys."""
     allowance = scene.inverse.seam_allowance
-    return make_pattern(flat, allowance, None if up is None else up.tolist(), rules=wishes(scene))
+    return make_pattern(flat, allowance, None if up is None else up.tolist(), rules=wishes(scene, model))
 
 
 def write_pattern_files(folder: Path, pattern: Pattern, picture: bool = True) -> dict[str, Any]:
@@ -168,7 +174,7 @@ def pattern_of_surface(
     there is none."""
     try:
         flat = lay_flat(model, shell, rest, cut_overlaps=False)
-        pattern = draw(flat, scene, up)
+        pattern = draw(flat, scene, model, up)
         points = np.concatenate([piece.points for piece in pattern.pieces])
         figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)
         return figures, points, flat.panels.corners

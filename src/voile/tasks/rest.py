@@ -166,8 +166,8 @@ def _up(shell: Shell) -> Reals | None:
 
 def _write_panels(job: Run, shell: Shell | None, flat: FlatPanels, target: Reals | None) -> dict[str, Any]:
     """rest.obj and the pattern of flat panels, whose vertices the target (p, 3) m has; the pattern's figures."""
-    assert shell is not None and target is not None
-    pattern = draw(flat, job.scene, _up(shell))
+    assert job.model and shell is not None and target is not None
+    pattern = draw(flat, job.scene, job.model, _up(shell))
     write_rest_obj(
         job.folder / "rest.obj", flat.panels, pattern, target[first_copies(flat)], _title(job.scene)
     )
