@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Array, Reals
 from voile.errors import InputError
 from voile.results import Result
 from voile.results.history import read_history
@@ -134,7 +134,7 @@ def unit(name: str) -> str:
     return "J" if is_energy(name) else UNITS.get(name, "")
 
 
-def _history(result: Result) -> dict[str, Reals]:
+def _history(result: Result) -> dict[str, Array]:
     """Columns of the figures of every step beside a result, none where a run wrote none."""
     path = result.path.with_name("history.h5")
     return read_history(path) if path.is_file() else {}

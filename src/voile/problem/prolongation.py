@@ -72,7 +72,7 @@ class Prolongation:
         return _rotation(self.interpolate(vertex))
 
     @cached_property
-    def _system(self) -> tuple[Reals, SuperLU, sp.csr_matrix]:
+    def _system(self) -> tuple[Ints, SuperLU, sp.csr_matrix]:
         """Fine vertices that are not kept, the factor of their bending stiffness, its coupling to the kept ones."""
         loose = np.setdiff1d(np.arange(len(self.corners)), self.kept)
         rows = bending_form(self._fine)[loose]
