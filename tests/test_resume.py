@@ -32,6 +32,7 @@ friction = 0.3
 STATICS = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\n'
 ARC = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\ncontrol = "arc-length"\n'
 SCENES = {"load": STATICS + SHELL + SPHERE, "arc": ARC + SHELL}
+SCENES["nearest"] = '[scene]\ntask = "inverse"\n' + SHELL.replace("young = 1e8", "young = 6e6")
 # What is kept after every step, not every half second.
 OFTEN = (
     "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
@@ -91,6 +92,21 @@ def test_a_killed_path_goes_on(write, tmp_path, name, capsys):
     before = (parts / "result.vtkhdf").read_bytes()
     assert main(["run", str(scene), "-o", str(parts), "--resume"]) == 0  # it is at its end
     assert (parts / "result.vtkhdf").read_bytes() == before
+
+
+def test_a_killed_search_goes_on(write, tmp_path):
+    """The nearest stable shape found after a kill on the way is that of one search, bit for bit."""
+    scene, whole, parts = write("nearest"), tmp_path / "whole", tmp_path / "parts"
+    one = main(["run", str(scene), "-o", str(whole)])
+    killed(scene, parts, 12)
+    assert not (parts / "result.vtkhdf").exists()
+    assert main(["run", str(scene), "-o", str(parts), "--resume"]) == one
+    with read_result(whole) as a, read_result(parts) as b:
+        np.testing.assert_array_equal(a.rest, b.rest)
+        np.testing.assert_allclose(a.points(), b.points(), rtol=0, atol=1e-8)
+    found, again = (read_summary(folder / "summary.json") for folder in (whole, parts))
+    assert found["reason"] == again["reason"] and found["inverse"]["nearest"]["steps"] > 12
+    assert found["inverse"]["nearest"] == again["inverse"]["nearest"]
 
 
 def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_own(write, tmp_path, capsys):

@@ -10,16 +10,20 @@ where a step goes too far.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from petsc4py import PETSc
 
+from voile.inverse.journal import Journal, Keep, columns, heard, said
+from voile.inverse.kept import vector
 from voile.inverse.objective import Design, Objective, nearness
 from voile.inverse.reduced import Iterate, Reduced
 from voile.inverse.target import Target
 from voile.inverse.verify import Simulation, simulate
 from voile.problem.rest import PanelRest
+from voile.solver.path import Arrays
+from voile.solver.stepping.restart import packed_history
 
 FIRST_RADIUS = 2e-3  # of the trust region: root mean square of the rest shape's change over the size
 FIRST_STRAIN = 1e-2  # the same for flat panels: root mean square of their strain
@@ -67,10 +71,37 @@ def minimise(
     on_step: Progress | None = None,
     design: Design | None = None,
     objectives: Sequence[Objective] | None = None,
+    journal: Journal | None = None,
 ) -> AdjointPath:
     """The rest shape that minimises the sum of the objectives, from `start` on: design variables, by default rest
     displacements with director angles; by default that whose simulation is nearest to the target, `regularisation` the
-    weight of its change. Ends when it settles, or after so many iterations of TAO."""
+    weight of its change. Ends when it settles, or after so many iterations of TAO. journal: of the search."""
+
+    def work(kept: Arrays, keep: Keep) -> Arrays:
+        path = _minimise(
+            target, start, regularisation, iterations, accuracy, on_step, design, objectives, kept, keep
+        )
+        return _packed(target, path) | {"rest": path.rest.array_r.copy()}
+
+    found = (journal or Journal()).call(work)
+    path = _unpacked(target, design or target.rest, found)
+    path.rest, path.state = vector(path.trail[-1].rest, found["rest"]), path.trail[-1].state
+    (design or target.rest).set(path.trail[-1].rest)
+    return path
+
+
+def _minimise(
+    target: Target,
+    start: PETSc.Vec,
+    regularisation: float,
+    iterations: int,
+    accuracy: float,
+    on_step: Progress | None,
+    design: Design | None,
+    objectives: Sequence[Objective] | None,
+    kept: Arrays,
+    keep: Keep,
+) -> AdjointPath:
     problem = target.problem
     design = design or target.rest
     surface = not isinstance(design, PanelRest)
@@ -79,11 +110,38 @@ def minimise(
     objective = Reduced(target, design, terms, state, accuracy)
     z, path = start.copy(), AdjointPath(start, start)
     metric = design.metric() if isinstance(design, PanelRest) else None
-    radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
+    first = radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
+    if kept:
+        path, radius = _unpacked(target, design, kept), float(kept["radius"])
+        z = path.trail[-1].rest.copy()
+        objective.go_on(path.trail, kept)
+    before = path.steps[-1].iteration if kept else 0
+    solves = path.forward_solves, path.adjoint_solves
+
+    def note(tao: PETSc.TAO) -> None:
+        """An iteration, counted from the first start."""
+        iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
+        if path.steps and path.steps[-1].iteration == before + iteration:
+            return  # a trial that was rejected
+        path.trail = objective.trail
+        path.steps.append(AdjointStep(before + iteration, value, gradient, path.trail[-1].sag))
+        path.forward_solves = solves[0] + objective.forward.solves
+        path.adjoint_solves = solves[1] + objective.adjoint_solves
+        if on_step:
+            on_step(path.steps[-1])
+        history = objective.carried
+        keep(
+            lambda: (
+                _packed(target, path)
+                | {"radius": np.array(reach)}
+                | (packed_history(history) if history else {})
+            )
+        )
+
     tao = _optimiser(objective, z, radius, metric)
-    tao.setMaximumIterations(iterations)
-    tao.setMonitor(lambda tao: _note(tao, objective, path, on_step))
-    tao.setConvergenceTest(lambda tao: _settled(tao, path, radius))
+    tao.setMaximumIterations(max(iterations - before, 0))
+    tao.setMonitor(note)
+    tao.setConvergenceTest(lambda tao: _settled(tao, path, first))
     try:
         tao.solve()
         path.reason = tao.getConvergedReason()
@@ -94,8 +152,37 @@ def minimise(
     design.set(path.rest)
     if surface:
         path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
-    path.forward_solves, path.adjoint_solves = objective.forward.solves, objective.adjoint_solves
+    path.forward_solves = solves[0] + objective.forward.solves
+    path.adjoint_solves = solves[1] + objective.adjoint_solves
     return path
+
+
+def _packed(target: Target, path: AdjointPath) -> Arrays:
+    """A path with the last of its trail."""
+    trail = path.trail[-1 - TRIED :]
+    return {
+        **said(
+            steps=[asdict(step) for step in path.steps],
+            solves=[path.forward_solves, path.adjoint_solves],
+            reason=int(path.reason),
+            bounds=[target.bounds.breaches, target.bounds.last],
+            sags=[iterate.sag for iterate in trail],
+        ),
+        "rests": columns([iterate.rest for iterate in trail]),
+        "states": columns([iterate.state for iterate in trail]),
+    }
+
+
+def _unpacked(target: Target, design: Design, found: Arrays) -> AdjointPath:
+    """That of `_packed`."""
+    figures, rest, state = heard(found), design.create(), target.problem.create_vector()
+    target.bounds.breaches, target.bounds.last = figures["bounds"]
+    trail = [
+        Iterate(vector(rest, z), vector(state, y), sag)
+        for z, y, sag in zip(found["rests"], found["states"], figures["sags"], strict=True)
+    ]
+    steps, (forward, adjoint) = [AdjointStep(**step) for step in figures["steps"]], figures["solves"]
+    return AdjointPath(trail[-1].rest, trail[-1].state, steps, forward, adjoint, figures["reason"], trail)
 
 
 def keep_what_is_reached(target: Target, path: AdjointPath, accuracy: float, panels: PanelRest) -> Simulation:
@@ -151,15 +238,6 @@ def _defaults(tao: PETSc.TAO, preconditioner: str) -> None:
         if preconditioner != PETSc.PC.Type.NONE:
             ksp.pc.setFactorSolverType("mumps")
         ksp.setFromOptions()
-
-
-def _note(tao: PETSc.TAO, objective: Reduced, path: AdjointPath, on_step: Progress | None) -> None:
-    iteration, value, gradient = tao.getSolutionStatus()[:3]
-    if path.steps and path.steps[-1].iteration == iteration:
-        return  # a trial that was rejected
-    path.steps.append(AdjointStep(iteration, value, gradient, objective.trail[-1].sag))
-    if on_step:
-        on_step(path.steps[-1])
 
 
 def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float) -> None:

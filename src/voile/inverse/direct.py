@@ -48,7 +48,8 @@ class DirectStep:
 class DirectPath:
     """The outcome. `rest`: rest displacements and director angles of the last stable step, at load `fraction`;
     `reason` says what ended the path before the full load; `critical`: fraction at which stability is lost, and `mode`,
-    there, the shape of the instability (unknowns, largest entry 1); step: the next, a fraction of the load."""
+    there, the shape of the instability (unknowns, largest entry 1); lost: the rest shape there; step: the next, a
+    fraction of the load."""
 
     rest: PETSc.Vec
     fraction: float = 0.0
@@ -56,6 +57,7 @@ class DirectPath:
     reason: str = ""
     critical: float | None = None
     mode: PETSc.Vec | None = None
+    lost: PETSc.Vec | None = None
     residual: float = math.nan
     iterations: int = 0
     step: float = 1.0
@@ -92,11 +94,12 @@ class Direct:
         guess: PETSc.Vec | None = None,
         smallest: float = SMALLEST,
         path: DirectPath | None = None,
+        keep: Callable[[DirectPath], None] | None = None,
     ) -> DirectPath:
         """The branch from the target itself without load to the full load, or to where it ends. guess: rest
         displacements from which the full load is tried first; smallest: step, a fraction of the load; path: one that
-        ended in larger steps, to go on with."""
-        z, lost = self.problem.create_vector(), None
+        ended in larger steps, to go on with; keep: told of the path after each step."""
+        z = self.problem.create_vector()
         if path is None:
             path = (guess and self.begin_with(guess, on_step)) or DirectPath(rest=z.copy())
         while path.fraction < 1.0 and path.step >= smallest:
@@ -108,7 +111,7 @@ class Direct:
             if reason or negative:
                 path.step *= 0.5
                 if negative:
-                    path.critical, lost = fraction, z.copy()
+                    path.critical, path.lost = fraction, z.copy()
                 path.reason = reason
                 continue
             assert negative is not None
@@ -121,12 +124,14 @@ class Direct:
                 path.step = min(path.step, 0.5 * (path.critical - fraction))
             elif iterations <= EASY:
                 path.step *= 2.0
+            if keep:
+                keep(path)
         path.converged = path.fraction >= 1.0
         if path.critical is not None:
             path.reason = _lost(path.fraction, path.critical)
-        if lost is not None and path.critical is not None:
-            self._go_to(lost, path.critical)
-            path.mode = self.target.softest_mode(lost)
+        if path.lost is not None and path.critical is not None:
+            self._go_to(path.lost, path.critical)
+            path.mode = self.target.softest_mode(path.lost)
         self._go_to(path.rest, path.fraction)
         return path
 

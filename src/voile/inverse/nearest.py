@@ -18,17 +18,22 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
 from voile.inverse.direct import Direct, DirectPath
+from voile.inverse.journal import Journal, Keep
+from voile.inverse.kept import packed_search, unpacked_search
+from voile.inverse.nearest_path import NearestPath, NearestStep
 from voile.inverse.neighbours import Checkpoint, Move, Neighbours, Tangent
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
 from voile.problem.problem import Problem
+from voile.solver.path import Arrays
 
 MARGIN, LEAST_MARGIN = 8.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 4 * (2.0,)  # margins tried in turn, over the one before
@@ -48,34 +53,6 @@ SHARP = 5.0  # cuts within a thickness: what sinks faster is a mode that the mod
 SETTLED, FINE, EXACT = 0.3, 0.02, 0.005  # of the merit that a step could win: sag slight; way; answer
 STEPS, EXTRA = 300, 30  # of the way to the full load; from one margin to the next
 PRECISE = 1e-5  # residual over the loads' norm, on the way
-
-
-@dataclass
-class NearestStep:
-    """An accepted step: fraction of the load, largest displacement from the target over the size, smallest eigenvalue
-    and the margin asked for (1/s^2)."""
-
-    fraction: float
-    sag: float
-    eigenvalue: float
-    margin: float
-
-
-@dataclass
-class NearestPath:
-    """The outcome: rest displacements with director angles, the equilibrium found with its sag (over the size), its
-    smallest eigenvalue (1/s^2) and mode (unknowns, largest entry 1), the margin (over g/L), the steps, the fraction of
-    the load, and whether time ended the search."""
-
-    rest: PETSc.Vec
-    state: PETSc.Vec
-    sag: float
-    eigenvalue: float
-    mode: PETSc.Vec
-    margin: float
-    steps: list[NearestStep]
-    fraction: float = 1.0
-    timed_out: bool = False
 
 
 @dataclass
@@ -130,8 +107,9 @@ Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its
 class Nearest:
     """Path of nearest stable shapes of a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, clock: Clock, on_step: Progress | None = None):
+    def __init__(self, direct: Direct, clock: Clock, on_step: Progress | None, journal: Journal):
         self.target, self.problem, self.clock = direct.target, direct.problem, clock
+        self.journal = journal
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
@@ -147,8 +125,20 @@ class Nearest:
     ) -> tuple[Checkpoint, bool]:
         """From a point to the nearest one at a fraction of the load with a margin and True, or the last one found on
         the way. It is settled where a step could win no more than a share `exact`."""
-        point = replace(point, margin=min(point.margin, margin))
-        self.radius = max(self.radius, 0.1 * self.first)
+
+        def work(kept: Arrays, keep: Keep) -> Arrays:
+            if kept:
+                here = unpacked_search(self, kept)[0]
+            else:
+                here = replace(point, margin=min(point.margin, margin))
+                self.radius = max(self.radius, 0.1 * self.first)
+            return packed_search(self, *self._advance(here, fraction, margin, exact, keep))
+
+        return unpacked_search(self, self.journal.call(work))
+
+    def _advance(
+        self, point: Checkpoint, fraction: float, margin: float, exact: float, keep: Keep
+    ) -> tuple[Checkpoint, bool]:
         while self._goes_on():
             self.budget -= 1
             trial, settled = self._step(point, fraction, margin, exact)
@@ -158,6 +148,7 @@ class Nearest:
             if trial.share == 1.0:  # without round-off
                 point.fraction, point.margin = fraction, margin
             self._note(point)
+            keep(partial(packed_search, self, point))
         return point, point.fraction == fraction and point.margin == margin
 
     def _goes_on(self) -> bool:
@@ -307,7 +298,7 @@ class Nearest:
         """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
 
         def firm(point: Checkpoint) -> bool:
-            return stays(point.z, self._sag(point))
+            return self.journal.flag(lambda: stays(point.z, self._sag(point)))
 
         if self.clock.over():
             return first
@@ -373,6 +364,7 @@ def approach(
     stays: Stays,
     on_step: Progress | None = None,
     seconds: float = 0.0,
+    journal: Journal | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
@@ -382,7 +374,7 @@ def approach(
     clock, stable = Clock(target.problem, seconds), list[tuple[Nearest, Checkpoint]]()
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
-        search = Nearest(Direct(target, PRECISE), clock, on_step)
+        search = Nearest(Direct(target, PRECISE), clock, on_step, journal or Journal())
         if not search.beside.movable:  # all of it touches
             return None
         point, reached = search.reach(path, first * search.beside.slow)

@@ -112,7 +112,11 @@ class Neighbours:
     def hold(self, vertex: Flags) -> None:
         """Keeps local vertices (n,) where they are from now on."""
         field = np.repeat(vertex[:, None], 3, axis=1).astype(float)
-        self.free &= self.target.field_vector(field).array_r == 0.0
+        self.restrict(self.target.field_vector(field).array_r == 0.0)
+
+    def restrict(self, free: Flags) -> None:
+        """Only these unknowns (own,) are free from now on, of those that are."""
+        self.free &= free
         self.metric = self._create_metric(1.0)
         self.metric_factor.set(self.metric)
         self.movable = bool(self.problem.comm.allreduce(int(self.free.sum())))

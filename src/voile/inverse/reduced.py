@@ -23,6 +23,8 @@ from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.rest import PanelRest
 from voile.solver.linear import factorisation_error, negative_pivots, use_cholesky, use_lu
+from voile.solver.path import Arrays
+from voile.solver.stepping.restart import unpacked_history
 
 UNREACHABLE = 1e10  # the objective where no equilibrium is found
 
@@ -66,6 +68,14 @@ class Reduced:
         self.best = math.inf  # objective of the last of the trail
         self.trail: list[Iterate] = []  # the best so far, one after the other
         self.shifted = 0.0  # multiple of the identity in the Hessian
+
+    def go_on(self, trail: list[Iterate], found: Arrays) -> None:
+        """Where a search was that had accepted the last of a trail, with what contact remembered there (packed)."""
+        self.trail, self.state = trail[:-1], trail[-1].state.copy()  # the last is evaluated anew
+        contact = self.problem.contact
+        if contact:
+            contact.history = unpacked_history(found, len(contact.partners))
+        self.accept()
 
     # ---- the map from rest shape to equilibrium ----
 

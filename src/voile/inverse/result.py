@@ -12,7 +12,7 @@ from voile.arrays import Reals
 from voile.inverse.adjoint import NEAR, REASON, AdjointPath
 from voile.inverse.bounds import area_range
 from voile.inverse.direct import DirectPath
-from voile.inverse.nearest import NearestPath
+from voile.inverse.nearest_path import NearestPath
 from voile.inverse.target import Target
 from voile.inverse.verify import Simulation
 from voile.inverse.verify import sag as distance

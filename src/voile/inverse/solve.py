@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from petsc4py import PETSc
 
@@ -15,6 +16,8 @@ from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.flatten import FlatPanels
+from voile.inverse.journal import Journal, Keep
+from voile.inverse.kept import packed_direct, unpacked_direct
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.nearest import approach
 from voile.inverse.result import InverseResult
@@ -23,6 +26,7 @@ from voile.inverse.verify import simulate
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
+from voile.solver.path import Arrays
 
 Progress = Callable[[DirectStep], None]
 COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
@@ -63,18 +67,19 @@ def solve_inverse(
     on_nearest: NearestProgress | None = None,
     layers: Layers | None = None,
     on_found: Callable[[PETSc.Vec], None] | None = None,
+    journal: Journal | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface, and on its own `layers` where they are in each other's way. exempt: vertices of
     the shell that may have an angle defect in a developable rest shape, beside boundaries and seams; guess (n, 3) m:
-    rest positions to start from. exempt and guess on rank 0. on_found takes the rest shape before its proof. Raises
-    NotConverged where no reactions can hold the target."""
-    options = options or InverseOptions()
+    rest positions to start from. exempt and guess on rank 0. on_found takes the rest shape before its proof; journal:
+    what an interrupted search goes on from. Raises NotConverged where no reactions can hold the target."""
+    options, journal = options or InverseOptions(), journal or Journal()
     began = time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
-    path = _direct(target, on_step, None if away is None else target.field_vector(away))
+    path = _direct(target, journal, on_step, None if away is None else target.field_vector(away))
     adjoint = nearest = None
 
     def stays(rest: PETSc.Vec, sag: float) -> bool:
@@ -86,12 +91,18 @@ def solve_inverse(
     if not path.converged and options.method == "direct":
         path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
-        nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds)
+        nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds, journal)
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         try:
             adjoint = minimise(
-                target, path.rest, options.regularisation, options.iterations, options.tolerance, on_iteration
+                target,
+                path.rest,
+                options.regularisation,
+                options.iterations,
+                options.tolerance,
+                on_iteration,
+                journal=journal,
             )
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
@@ -109,7 +120,7 @@ def solve_inverse(
         if on_found:
             on_found(z)  # there may be none
         target.load(1.0)
-        z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration)
+        z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration, journal)
         nearest = None
     if adjoint:
         target.release()
@@ -144,7 +155,9 @@ def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
     return max(tolerance, path.residual / target.load_norm(target.rest.state(path.rest)))
 
 
-def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = None) -> DirectPath:
+def _direct(
+    target: Target, journal: Journal, on_step: Progress | None, guess: PETSc.Vec | None = None
+) -> DirectPath:
     """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
     alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken.
     Raises NotConverged where round-off hides the loads."""
@@ -155,7 +168,17 @@ def _direct(target: Target, on_step: Progress | None, guess: PETSc.Vec | None = 
             target.penalty = hold * target.membrane
             if hold not in paths:
                 solver.check_round_off()
-            path = paths[hold] = solver.follow(on_step, guess, smallest, paths.get(hold))
+            before = paths.get(hold)
+
+            def work(kept: Arrays, keep: Keep, so_far=before, least=smallest) -> Arrays:
+                path = unpacked_direct(target.problem, kept) if kept else so_far
+                return packed_direct(
+                    solver.follow(
+                        on_step, guess, least, path, lambda path: keep(partial(packed_direct, path))
+                    )
+                )
+
+            path = paths[hold] = unpacked_direct(target.problem, journal.call(work))
             if path.converged or path.critical is not None:
                 break
         if path.converged:
@@ -176,6 +199,7 @@ def _make_developable(
     z: PETSc.Vec,
     options: InverseOptions,
     on_iteration: AdjointProgress | None,
+    journal: Journal,
 ) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float | None]]]:
     """From a rest shape z to a developable one whose simulation is nearest to the target, and the trade between them:
     largest angle defect (rad) and sag, None where no simulation settles, on the straight way from one to the other."""
@@ -189,6 +213,7 @@ def _make_developable(
         options.tolerance,
         on_iteration,
         design,
+        journal=journal,
     )
     design.set(adjoint.rest)
     found, trade = design.projected.copy(), []
@@ -214,15 +239,16 @@ def solve_panels(
     layers: Layers | None = None,
     on_found: Callable[[Reals], None] | None = None,
     even: Callable[[Reals], Reals] | None = None,
+    journal: Journal | None = None,
 ) -> tuple[InverseResult, Reals]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
     variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
     does those that the search starts from. even: makes coordinates symmetric, on all ranks; the search starts from
     such panels, and such are proved."""
-    options = options or InverseOptions()
+    options, journal = options or InverseOptions(), journal or Journal()
     began = time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
-    path = _direct(target, on_step)  # for the reactions at the target
+    path = _direct(target, journal, on_step)  # for the reactions at the target
     target.load(1.0)
     base = problem.comm.bcast(start_of_panels(target, shell, path.rest, flat))
     panels = PanelRest(problem, even(base) if even else base)
@@ -236,6 +262,7 @@ def solve_panels(
         options.tolerance,
         on_iteration,
         panels,
+        journal=journal,
     )
     target.release()
     simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)

@@ -1,6 +1,8 @@
 """Rest shapes and flat panels of task = inverse: found, and written."""
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +12,7 @@ from petsc4py import PETSc
 from voile.arrays import Ints, Reals
 from voile.errors import Hinged, on_root
 from voile.inverse.flatten import FlatPanels
+from voile.inverse.journal import Journal
 from voile.inverse.pattern import write_rest_obj
 from voile.inverse.result import InverseResult
 from voile.inverse.solve import InverseOptions, solve_inverse, solve_panels
@@ -18,7 +21,11 @@ from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
 from voile.problem.shell import Shell
 from voile.problem.supports import without_flaps
+<<<<<<< HEAD
 from voile.scene import Scene
+=======
+from voile.solver.path import Arrays
+>>>>>>> 0c3dbce (Resume inverse searches: a journal of what a search has found)
 from voile.tasks.patterns import (
     cut_apart,
     draw,
@@ -72,6 +79,7 @@ def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
         job.progress.nearest,
         job.layers(shell),
         write,
+        _journal(job),
     )
     return result, None, figures
 
@@ -100,8 +108,19 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
         job.layers(cut),
         write,
         evenly(flat, job.scene, comm),
+        journal=_journal(job),
     )
     return result, flat, figures
+
+
+def _journal(job: Run) -> Journal:
+    """What the search goes on from, kept now and then; its result file is written at its end."""
+
+    def pause(packed: Callable[[], Arrays]) -> None:
+        if job.restarts.due():
+            job.keep(job.restarts.step + 1, packed(), 0, time.perf_counter())
+
+    return Journal(pause, job.found)
 
 
 def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
