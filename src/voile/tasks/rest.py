@@ -21,11 +21,8 @@ from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
 from voile.problem.shell import Shell
 from voile.problem.supports import without_flaps
-<<<<<<< HEAD
 from voile.scene import Scene
-=======
 from voile.solver.path import Arrays
->>>>>>> 0c3dbce (Resume inverse searches: a journal of what a search has found)
 from voile.tasks.patterns import (
     cut_apart,
     draw,
