@@ -99,6 +99,13 @@ def test_an_output_that_is_a_file_is_refused(capsys, tmp_path):
     assert "out" in capsys.readouterr().err
 
 
+def test_a_table_that_cannot_be_written_is_refused_before_anything_runs(capsys, tmp_path):
+    for path in (tmp_path / "none" / "table.json", tmp_path):
+        asked = ["validate", "catenary", "--quick", "--json", str(path), "-o", str(tmp_path / "out")]
+        assert main(asked) == 2
+        assert str(path) in capsys.readouterr().err and not (tmp_path / "out" / "catenary").exists()
+
+
 def test_a_scene_that_a_protocol_ran_runs_again(tmp_path):
     assert main(["validate", "catenary", "--quick", "-o", str(tmp_path)]) == 0
     (scene,) = (tmp_path / "catenary").glob("*.toml")

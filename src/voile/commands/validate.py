@@ -57,6 +57,8 @@ def _perform(chosen: Sequence[Protocol], args: argparse.Namespace) -> None:
         raise InputError(
             f"{args.output}: {error.strerror}; allowed: a folder for plots, scenes and results"
         ) from None
+    if args.json and (args.json.is_dir() or not args.json.parent.is_dir()):
+        raise InputError(f"{args.json}: cannot be written; allowed: a file in a folder that exists")
     verdicts = []
     print(report.heading())
     for protocol in chosen:
