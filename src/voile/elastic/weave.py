@@ -1,5 +1,6 @@
 """Woven fabrics: orthotropic about a warp direction per triangle, as the kernels take them (Weave in models.hpp)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ from voile.errors import InputError
 from voile.mesh import Rest, Surface, texture_direction
 
 LENGTH = 9  # numbers of a triangle's weave
+STIFFNESSES = ("young_weft", "shear", "bending_warp", "bending_weft", "bending_twist")
 ALONG = 1e-6  # of a direction's length: what lies in a triangle's plane at least
 
 
@@ -74,6 +76,30 @@ def weave_rows(
     c = warp_components(rest, triangles, warp)
     bends = (strips * plate, mean * both * plate, wefts * plate, twist)
     return np.column_stack([c, weft, shear, own.astype(float), *bends])
+
+
+def stiffnesses(weave: Reals, young: Reals, poisson: Reals) -> dict[str, Reals]:
+    """Of weaves (m, 9) the STIFFNESSES (m,) Pa or N m; those of bending where they do not follow the thickness."""
+    plate = 1.0 - poisson**2 * weave[:, 2]
+    found = {"young_weft": weave[:, 2], "shear": weave[:, 3]}
+    if weave[:, 4].all():
+        strips = {"bending_warp": weave[:, 5] * plate, "bending_weft": weave[:, 7] * plate}
+        found |= {**strips, "bending_twist": weave[:, 8]}
+    return {name: young * ratio for name, ratio in found.items()}
+
+
+def restiffened(weave: Reals, young: Reals, poisson: Reals, given: Mapping[str, Reals | float]) -> Reals:
+    """Weaves (m, 9) with some of `stiffnesses` (Pa or N m) as given; the others keep their ratios to the warp's
+    modulus."""
+    new = stiffnesses(weave, young, poisson) | {name: value + 0.0 * young for name, value in given.items()}
+    weft = new["young_weft"] / young
+    rows = [*weave[:, :2].T, weft, new["shear"] / young, weave[:, 4]]
+    if "bending_warp" not in new:
+        return np.column_stack([*rows, weave[:, 5:]])
+    mean, warps, wefts = poisson * np.sqrt(weft), new["bending_warp"] / young, new["bending_weft"] / young
+    plate = 1.0 / (1.0 - mean**2)
+    bends = warps * plate, mean * np.sqrt(warps * wefts) * plate, wefts * plate, new["bending_twist"] / young
+    return np.column_stack([*rows, *bends])
 
 
 def warp_of(rest: Rest, surface: Surface, given: list[tuple[Reals, Any, str]]) -> Reals:

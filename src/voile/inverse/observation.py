@@ -8,6 +8,7 @@ from petsc4py import PETSc
 
 from voile.arrays import Reals
 from voile.contact.obstacles import Obstacle
+from voile.elastic.weave import STIFFNESSES, restiffened, stiffnesses
 from voile.errors import InputError
 from voile.inverse.direct import Direct
 from voile.inverse.target import Target
@@ -21,6 +22,8 @@ from voile.solver.statics import solve_statics
 
 FABRIC = ("thickness", "young", "poisson", "density")  # as in Part.fabric
 FRICTION = "friction"
+ROUND_OFF = 1e-12  # relative: values that are one
+STEP = 1e-4  # of the logarithm of a woven fabric's parameter in differences of forces, nearly linear in it
 TOP = {"poisson": 0.5}  # what a parameter must stay below
 
 
@@ -43,7 +46,8 @@ class Observation:
         """observed (local vertices, 3) m: the start shape where None; offset (m) from the mid-surface to the surface
         that touches."""
         self.problem, self.obstacles, self.offset = problem, obstacles, offset
-        self.flat = problem.flat
+        self.flat, self.woven = problem.flat, bool(problem.part.weave.size)
+        self.stiffnesses = stiffnesses(problem.part.weave, *problem.part.fabric[1:3]) if self.woven else {}
         self.rest = RestShape(problem, target=False)
         self.seen = self.rest.is_vertex
         self.count: int = problem.comm.allreduce(int(self.seen.sum()))
@@ -67,12 +71,19 @@ class Observation:
             own = np.array([o.friction for o in self.obstacles])
             if not len(own):
                 raise InputError("inverse.estimate: friction: the shell touches nothing without [[obstacle]]")
+        elif name in STIFFNESSES:
+            if name not in self.stiffnesses:
+                raise InputError(
+                    f"inverse.estimate: {name}: bending follows the thickness; allowed: a fabric with bending "
+                    "stiffnesses of its own"
+                )
+            own = self.stiffnesses[name]
         else:
             own = self.problem.part.fabric[FABRIC.index(name)]
         comm = self.problem.comm
         low = comm.allreduce(float(own.min(initial=np.inf)), op=MPI.MIN)
         high = comm.allreduce(float(own.max(initial=-np.inf)), op=MPI.MAX)
-        if low != high:
+        if high - low > ROUND_OFF * abs(high):
             raise InputError(
                 f"inverse.estimate: {name} differs from part to part ({low:g} to {high:g}); allowed: one value"
             )
@@ -87,6 +98,13 @@ class Observation:
         problem, fabric = self.problem, self.problem.part.fabric
         for name in values.keys() & set(FABRIC):
             fabric[FABRIC.index(name)] = values[name]
+        if self.woven:
+            names = values.keys() & set(STIFFNESSES)
+            given = self.stiffnesses | {name: values[name] for name in names} if names else {}
+            if (fabric[2] ** 2 * given.get("young_weft", 0.0) >= fabric[1]).any():
+                return False
+            problem.part.weave = restiffened(problem.part.weave, fabric[1], fabric[2], given)
+            problem.kernel.set_weave(np.ascontiguousarray(problem.part.weave))
         problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
         problem.set_rest(problem.part.rest_points, self.flat)
         if FRICTION in values:
@@ -125,11 +143,26 @@ class Observation:
         self._factor.setUp()
         columns = []
         for name, value in values.items():
-            slope = self.rest.fabric_derivative(y, name)
+            if self.woven:
+                slope = self._change(y, values, name)
+            else:
+                slope = self.rest.fabric_derivative(y, name)
+                slope.scale(value)
             moved = slope.duplicate()
             self._factor.apply(slope, moved)
-            columns.append(np.where(self.seen, -value * moved.array_r, 0.0))
+            columns.append(np.where(self.seen, -moved.array_r, 0.0))
         return np.stack(columns, axis=1)
+
+    def _change(self, y: PETSc.Vec, values: dict[str, float], name: str) -> PETSc.Vec:
+        """Change of the residual (N) at a state by the logarithm of a parameter, by central differences of forces."""
+        total = self.problem.create_vector()
+        for step in (STEP, -STEP):
+            self.set(values | {name: values[name] * np.exp(step)})
+            residual = self.problem.create_vector()
+            self.problem.residual(y, residual)
+            total.axpy(0.5 / step, residual)
+        self.set(values)
+        return total
 
 
 class UnknownRest:

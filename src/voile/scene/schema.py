@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
+from voile.elastic.weave import STIFFNESSES
 from voile.keys import (
     Boolean,
     Choice,
@@ -306,6 +307,11 @@ class Scene:
 
     def _check_woven(self) -> None:
         woven = self.shell.material == "orthotropic"
+        names = [name for name in self.inverse.estimate if name in STIFFNESSES]
+        if names and not woven:
+            raise Rejected(
+                f'"{names[0]}": allowed with shell.material = "orthotropic"', ("inverse", "estimate")
+            )
         if woven and self.shell.model not in WOVEN_MODELS:
             allowed = '"orthotropic" fits shell.model = "koiter" or "membrane"'
             raise Rejected(f'{allowed}, not "{self.shell.model}"', ("shell", "material"))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from voile.elastic.weave import STIFFNESSES
 from voile.keys import Array, Boolean, Choice, File, Integer, MeshFile, Number, Rejected, Table, key
 from voile.mesh import RawMesh
 
@@ -170,8 +171,9 @@ class Inverse:
         Choice(False, "constraint", "panels"), "whether and how the rest shape is developable", default=False
     )
     estimate: tuple[str, ...] = key(
-        Array(Choice("thickness", "young", "poisson", "density", "friction")),
-        "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape",
+        Array(Choice("thickness", "young", "poisson", "density", "friction", *STIFFNESSES)),
+        "parameters to find from the mesh, then an observed equilibrium, and shell.rest, its known rest shape; young "
+        "alone scales all stiffnesses of a woven fabric, beside others of them it is the warp's",
         default=(),
     )
     observed: Path | RawMesh | None = key(
