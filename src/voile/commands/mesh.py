@@ -90,10 +90,10 @@ def _mended(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict[s
 
 
 def _mirrored(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict[str, Any]]:
-    from voile.mesh.checks import check_coordinates
+    from voile.mesh import read_mesh
     from voile.mesh.mirror import mirror, plane_of
 
-    check_coordinates(raw)
+    read_mesh(args.file)  # says what must be repaired first
     axis = "xyz".index(args.across)
     place = plane_of(raw, axis) if args.at is None else args.at
     mesh, figures = mirror(raw, axis, place, -1 if args.keep == "-" else 1)

@@ -41,11 +41,11 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     points[:, axis] = place + side * d
     made, triangles, parent = _cut(points, raw.triangles, d)
     made[len(points) :, axis] = place
-    if not len(triangles):
+    group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
+    if not keep.any():
         raise InputError(
             f"{raw.source}: nothing lies on that side of {'xyz'[axis]} = {place:g}; choose another"
         )
-    group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
     triangles = triangles[keep]
     on = np.append(d == 0.0, np.ones(len(made) - len(points), dtype=bool))
     image, n = np.where(on, np.arange(len(made)), np.arange(len(made)) + len(made)), len(made)
@@ -76,8 +76,13 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     other = other[side * (other[:, axis] - place) < 0]
     if not len(other):
         return result, {"apart": 0.0, "rms": 0.0}
-    square = igl.point_mesh_squared_distance(other, result.points, result.triangles.astype(np.int64))[0]
-    return result, {"apart": float(np.sqrt(square.max())), "rms": float(np.sqrt(square.mean()))}
+    size, corner = np.ptp(raw.points[raw.triangles], axis=(0, 1)).max(), result.points[0]
+    here, there = (
+        (other - corner) / size,
+        (result.points - corner) / size,
+    )  # squares of any size are numbers then
+    square = igl.point_mesh_squared_distance(here, there, result.triangles.astype(np.int64))[0]
+    return result, {"apart": float(size * np.sqrt(square.max())), "rms": float(size * np.sqrt(square.mean()))}
 
 
 def _shortest(raw: RawMesh) -> Reals:
