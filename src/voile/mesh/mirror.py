@@ -41,11 +41,11 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     points[:, axis] = place + side * d
     made, triangles, parent = _cut(points, raw.triangles, d)
     made[len(points) :, axis] = place
-    group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
-    if not keep.any():
+    if not len(triangles):
         raise InputError(
             f"{raw.source}: nothing lies on that side of {'xyz'[axis]} = {place:g}; choose another"
         )
+    group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
     triangles = triangles[keep]
     on = np.append(d == 0.0, np.ones(len(made) - len(points), dtype=bool))
     image, n = np.where(on, np.arange(len(made)), np.arange(len(made)) + len(made)), len(made)
@@ -174,6 +174,7 @@ def _groups(
     beyond = share[group] < MIDDLE
     piece = np.unique(_components(triangles)[triangles[:, 0]], return_inverse=True)[1].ravel()
     keep = np.bincount(piece, ~beyond)[piece] > 0
+    keep |= not keep.any()
     group = np.where(beyond, partner[group], group)[keep]
     twin = np.append(partner, np.zeros(len(names) - count, dtype=np.int64))
     for g, h in enumerate(partner):
