@@ -1,8 +1,9 @@
 """Fabrics by name: measured values that `fabric = NAME` puts into [shell] or [[fabric]] where they give no others.
 
 Source: Wang, O'Brien and Ramamoorthi (2011), "Data-driven elastic models for cloth: modeling and measurement", ACM
-Transactions on Graphics 30(4); samples "11oz-black-denim", "royal-target", "white-dots-on-blk", "ivory-rib-knit" as
-distributed with ARCSim, whose second direction (along v) is the warp here. Taken: the smallest strain and curvature.
+Transactions on Graphics 30(4); samples "11oz-black-denim", "royal-target", "white-dots-on-blk", "ivory-rib-knit",
+"camel-ponte-roma" as distributed with ARCSim, whose second direction (along v) is the warp here. Taken: the smallest
+strain and curvature.
 """
 
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from voile.keys import Rejected
 
 # Nominal thickness (not measured there): with it moduli are membrane stiffnesses over thickness.
-THICKNESS = {"denim": 0.8e-3, "cotton-polyester": 0.4e-3, "polyester": 0.3e-3, "rib-knit": 0.8e-3}
+THICKNESS = {"denim": 0.8e-3, "cotton-polyester": 0.4e-3, "polyester": 0.3e-3, "rib-knit": 0.8e-3, "double-jersey": 0.9e-3}
 
 # Per area mass (kg/m^2); stretching (N/m): weft, coupling, warp, shear (the energy has half of it times e12^2); bending
 # (N m) of strips along the warp, at 45 degrees, along the weft.
@@ -34,6 +35,11 @@ MEASURED = {
         0.276,
         (42.871021, -0.234556, 65.166023, 83.175644),
         (46.237591e-6, 30.015930e-6, 32.243889e-6),
+    ),
+    "double-jersey": (
+        0.284,
+        (31.146198, -12.802702, 44.028667, 31.896357),
+        (36.348366e-6, 33.013252e-6, 37.157593e-6),
     ),
 }
 
