@@ -11,7 +11,13 @@ from typing import Any
 from voile.keys import Rejected
 
 # Nominal thickness (not measured there): with it moduli are membrane stiffnesses over thickness.
-THICKNESS = {"denim": 0.8e-3, "cotton-polyester": 0.4e-3, "polyester": 0.3e-3, "rib-knit": 0.8e-3, "double-jersey": 0.9e-3}
+THICKNESS = {
+    "denim": 0.8e-3,
+    "cotton-polyester": 0.4e-3,
+    "polyester": 0.3e-3,
+    "rib-knit": 0.8e-3,
+    "double-jersey": 0.9e-3,
+}
 
 # Per area mass (kg/m^2); stretching (N/m): weft, coupling, warp, shear (the energy has half of it times e12^2); bending
 # (N m) of strips along the warp, at 45 degrees, along the weft.
