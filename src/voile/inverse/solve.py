@@ -170,7 +170,9 @@ def _direct(
                 solver.check_round_off()
             before = paths.get(hold)
 
-            def work(kept: Arrays, keep: Keep, so_far=before, least=smallest) -> Arrays:
+            def work(
+                kept: Arrays, keep: Keep, so_far: DirectPath | None = before, least: float = smallest
+            ) -> Arrays:
                 path = unpacked_direct(target.problem, kept) if kept else so_far
                 return packed_direct(
                     solver.follow(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from voile.inverse.adjoint import AdjointStep
     from voile.inverse.direct import DirectStep
-    from voile.inverse.nearest import NearestStep
+    from voile.inverse.nearest_path import NearestStep
     from voile.solver.path import LoadStep
     from voile.solver.stepping.time_path import TimeStep
 
