@@ -30,18 +30,14 @@ friction = 0.3
 
 def preload() -> None:
     """Imports what the commands need, once for all forks."""
-    import importlib
-    import pkgutil
-
     import h5py  # noqa: F401
     import matplotlib.pyplot  # noqa: F401
     import meshio  # noqa: F401
     import pyvista  # noqa: F401
 
-    import voile
-
-    for module in pkgutil.walk_packages(voile.__path__, "voile."):
-        importlib.import_module(module.name)
+    import voile.explain
+    import voile.post
+    import voile.wiring  # noqa: F401
 
 
 def small_result(folder: Path) -> Path:

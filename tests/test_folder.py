@@ -243,6 +243,17 @@ def test_meshes_beyond_numbers_and_terminals(voile, text, allowed):
     assert code == 2 and allowed in said and said.strip().isprintable() and "Warning" not in said
 
 
+def test_strings_have_no_end(voile):
+    """HDF5 itself would look without end for the next string of a heap whose rest is zeros."""
+    assert voile("one") == (0, "")
+    result = voile.folder / "result.vtkhdf"
+    data = bytearray(result.read_bytes())
+    heap = data.index(b"GCOL")
+    data[heap + 16 : heap + 32] = bytes(16)
+    result.write_bytes(data)
+    assert main(["info", str(voile.folder)]) == 2
+
+
 def test_stitches_in_a_circle_are_told(voile):
     (voile.folder.parent / "strip.obj").write_text(STRIP + "\nstitch 0 1 1 0\nstitch 1 0 0 0\n")
     voile("one")

@@ -6,6 +6,8 @@ of the shape expected. So nothing of another file is read, and no memory is aske
 
 from __future__ import annotations
 
+import mmap
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +21,8 @@ from voile.errors import InputError
 LARGEST = (
     1e30  # m, N, ...: numbers beyond have squares that single precision, which viewers use, does not hold
 )
+HEAP = b"GCOL\x01\0\0\0"
+LOOKED_AT = 1 << 28  # bytes of a file: its strings come before its steps
 DEFLATES = 1032  # times at most, of data that deflate packs (zlib)
 KINDS = {"numbers": "iufb", "indices": "iu", "reals": "f"}
 
@@ -34,6 +38,35 @@ def intact(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: damaged result file: nested too deeply") from None
     except Exception as error:  # h5py and numpy raise anything at a damaged file
         raise InputError(f"{path}: damaged result file: {_first_line(error)}") from None
+
+
+def open_file(path: Path) -> Any:
+    """An HDF5 file, open for reading. InputError where the library would not come back from its strings."""
+    import h5py
+
+    _check_strings(path)
+    return h5py.File(path, "r", locking=False)
+
+
+def _check_strings(path: Path) -> None:
+    """InputError for a heap of strings with an object that is free and takes no room: HDF5 looks there without end.
+    (HDF5 file format, III.E: objects of index, count, reserved, size and data, each of a multiple of 8 bytes)."""
+    with open(path, "rb") as file:
+        size = min(os.fstat(file.fileno()).st_size, LOOKED_AT)
+        if not size:
+            return
+        with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as data:
+            heap = data.find(HEAP)
+            while heap >= 0:
+                end = min(heap + int.from_bytes(data[heap + 8 : heap + 16], "little"), size)
+                at = heap + 16
+                while at + 16 <= end:
+                    index = int.from_bytes(data[at : at + 2], "little")
+                    room = int.from_bytes(data[at + 8 : at + 16], "little")
+                    if not (index or room):
+                        raise InputError(f"{path}: damaged result file: its strings have no end")
+                    at += 16 + (room + 7) // 8 * 8 if index else room
+                heap = data.find(HEAP, heap + 16)
 
 
 def member(path: Path, group: Any, name: str) -> Any:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from voile.errors import InputError, NotWritten, on_root
-from voile.results.checks import dataset, intact
+from voile.results.checks import dataset, intact, open_file
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -226,10 +226,9 @@ def _claim(directory: Path, record: IO[bytes], scene: Path, text: str, force: bo
 
 def stored_text(result: Path) -> str:
     """The scene's text in a result file, empty where it cannot be read."""
-    import h5py
 
     try:
-        with intact(result), h5py.File(result, "r", locking=False) as file:
+        with intact(result), open_file(result) as file:
             found: str = dataset(result, file, "voile/scene", "indices", 0)[()].tobytes().decode("utf-8")
             return found
     except InputError:

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
-from voile.results.checks import member
+from voile.results.checks import member, open_file
 
 
 class FrictionProblem(NamedTuple):
@@ -33,7 +33,7 @@ def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
         raise InputError(f"{path}: no such file")
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: not an HDF5 file")
-    with h5py.File(path, "r", locking=False) as file:
+    with open_file(path) as file:
         try:
             if "fclib_local" in file:
                 return _read_fclib(file["fclib_local"])

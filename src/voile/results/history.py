@@ -16,7 +16,7 @@ import numpy as np
 
 from voile.arrays import Array, Reals
 from voile.errors import InputError, on_root
-from voile.results.checks import check_length, dataset, intact, member
+from voile.results.checks import check_length, dataset, intact, member, open_file
 from voile.results.folder import replace, told
 from voile.results.writer import import_h5py
 
@@ -96,7 +96,7 @@ def read_history(path: str | os.PathLike[str]) -> dict[str, Array]:
 
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: no history of a run in time")
-    with intact(path), h5py.File(path, "r", locking=False) as file:
+    with intact(path), open_file(path) as file:
         group = member(path, file, "voile/history")
         if group is None:
             raise InputError(f"{path}: no history of a run in time")

@@ -15,7 +15,7 @@ import numpy as np
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
-from voile.results.checks import check_finite, check_indices, check_length, dataset, intact, member
+from voile.results.checks import check_finite, check_indices, check_length, dataset, intact, member, open_file
 from voile.results.fields import CELL_FIELDS, FORMAT_VERSION, POINT_FIELDS, Field, find_field
 from voile.results.static import OBSTACLES, Body
 from voile.results.writer import EDGES, OWN_VALUES, POINTS, STEPS
@@ -72,7 +72,7 @@ def open_result(path: Path) -> Any:
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: not a result file (not HDF5); `result.vtkhdf` of a run expected")
     with intact(path):
-        return h5py.File(path, "r", locking=False)
+        return open_file(path)
 
 
 class Result:
