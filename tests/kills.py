@@ -1,0 +1,120 @@
+"""A campaign that ends runs by signals at random times, and lets them go on."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from campaigns import IDLE, Fault, judged
+
+PATHS = {
+    "dynamics": ("dynamics", "[dynamics]\nduration = 0.5\ntime_step = 0.005\n"),
+    "load steps": ("statics", "[statics]\nload_steps = 60\n"),
+    "arc length": ("statics", '[statics]\nload_steps = 60\ncontrol = "arc-length"\n'),
+    "nearest shape": ("inverse", ""),
+}
+KILLED = """
+[shell]
+mesh = "strip.obj"
+young = 6e6
+thickness = 1e-3
+density = 300.0
+[[fix]]
+select = { box = [[-0.01, -1, -1], [0.01, 1, 1]] }
+clamp = true
+"""
+OFTEN = (
+    "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
+    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
+)
+SIGNALS = signal.SIGKILL, signal.SIGTERM, signal.SIGINT
+NEAR = 1e-8  # m, between the end of a run and that of its parts
+
+
+def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
+    """Ends runs of every task that goes on, on one and two ranks, by a signal at a random time; reads what they left,
+    lets them go on, and compares the end with that of a whole run."""
+    from campaign_sources import STRIP
+
+    rng, whole, out = (
+        np.random.default_rng(seed),
+        dict[tuple[str, int], tuple[int, float, np.ndarray]](),
+        folder / "out",
+    )
+    (folder / "strip.obj").write_text(STRIP)
+    for k in range(count):
+        name, ranks = str(rng.choice(list(PATHS))), int(rng.integers(1, 3))
+        task, keys = PATHS[name]
+        scene = folder / f"{name.replace(' ', '-')}.toml"
+        scene.write_text(f'[scene]\ntask = "{task}"\n{keys}{KILLED}')
+        if (name, ranks) not in whole:
+            began, rest = time.monotonic(), folder / f"whole-{scene.stem}-{ranks}"
+            code, said = _ran(scene, rest, ranks)
+            assert (rest / "result.vtkhdf").exists(), said
+            whole[name, ranks] = code, time.monotonic() - began, _end(rest)
+        code, seconds, end = whole[name, ranks]
+        shutil.rmtree(out, ignore_errors=True)
+        number, after = SIGNALS[int(rng.integers(len(SIGNALS)))], seconds * float(rng.uniform(0.1, 1.0))
+        what = f"{k}: {name}, {ranks} ranks, {number.name} after {after:.2f} s"
+        command, said = f"run {scene.name}", _killed(scene, out, ranks, number, after)
+        if "Traceback" in said:
+            yield Fault(what, command, said[-400:])
+        if (out / "result.vtkhdf").exists():
+            fault = judged(what, ["info", str(out)])
+            if fault:
+                yield fault
+        if not (out / ".voile-run").exists():
+            continue  # ended before it had begun
+        again, said = _ran(scene, out, ranks, "--resume")
+        if again != code or "Traceback" in said:
+            yield Fault(what, f"{command} --resume", f"exit code {again}, a whole run {code}: {said[-400:]}")
+        elif np.abs(_end(out) - end).max() > NEAR:
+            yield Fault(
+                what, f"{command} --resume", f"ends {np.abs(_end(out) - end).max():.1e} m off a whole run"
+            )
+
+
+def _started(scene: Path, out: Path, ranks: int, *more: str) -> subprocess.Popen[str]:
+    """A run in a group of processes of its own."""
+    launch = ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n", str(ranks)] if ranks > 1 else []
+    return subprocess.Popen(
+        [*launch, sys.executable, "-c", OFTEN, "run", str(scene), "-o", str(out), *more],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def _ran(scene: Path, out: Path, ranks: int, *more: str) -> tuple[int, str]:
+    """Exit code, and what it said."""
+    with _started(scene, out, ranks, *more) as process:
+        said = process.communicate(timeout=IDLE)[1]
+        return process.returncode, said
+
+
+def _killed(scene: Path, out: Path, ranks: int, number: signal.Signals, after: float) -> str:
+    """What a run said that got a signal after so many seconds; one of its ranks, where it has several."""
+    with _started(scene, out, ranks) as process:
+        time.sleep(after)
+        inside = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        try:
+            told = int(inside.read_text().split()[-1]) if ranks > 1 else process.pid
+            os.kill(told, number)
+        except (OSError, IndexError, ValueError):
+            pass  # it has ended, or has not begun
+        return process.communicate(timeout=IDLE)[1]
+
+
+def _end(out: Path) -> np.ndarray:
+    from voile.results import read_result
+
+    with read_result(out) as result:
+        return np.concatenate([result.points(), result.rest])
