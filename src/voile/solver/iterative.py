@@ -10,7 +10,7 @@ from voile.solver.linear import Counts, LinearSolver, set_defaults
 
 # Of a solve. Where something slips three corrections follow with the same factor, and leave the cube of theirs; a
 # step of Newton's method stands alone, and a coarser one is noise from which sheets in the wind flutter early.
-SYMMETRIC, CORRECTED = 1e-10, 1e-6
+SYMMETRIC, CORRECTED = 1e-10, 1e-4
 # Iterations that cost about a third of MUMPS' LU: measured 40 at 17,787 unknowns; LU grows as their power 3/2.
 LEAST, PER_ROOT = 30, 0.3
 RESTART = 60  # vectors that GMRES keeps
