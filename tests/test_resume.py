@@ -11,6 +11,7 @@ from campaign_sources import STRIP
 
 from voile.cli import main
 from voile.results import read_result, read_summary
+from voile.results.restart import Restarts
 
 SHELL = """
 [shell]
@@ -109,7 +110,10 @@ def test_a_killed_search_goes_on(write, tmp_path):
     assert found["inverse"]["nearest"] == again["inverse"]["nearest"]
 
 
-def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_own(write, tmp_path, capsys):
+def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_own(
+    write, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(Restarts, "PAUSE", 0.0)  # runs of under half a second keep nothing
     scene, out = write("load"), tmp_path / "out"
     short = ["--set", "statics.load_steps=2"]
     assert main(["run", str(scene), "-o", str(out), "--resume", *short]) == 2

@@ -1,6 +1,7 @@
 """`voile run`: solves a scene."""
 
 import argparse
+import gc
 import time
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def run(args: argparse.Namespace) -> None:
             progress.line(f"note: {folder} has no step to go on from: the run starts anew")
         with held_output(folder, comm, args.scene, scene.text, args.force):
             failure = api.solve(scene, model, folder, progress, began, resumes=resumes, told=told)
+    gc.collect()  # what holds PETSc's objects goes round in circles, and must not outlive MPI
     progress.line(f"results in {folder}")
     if failure:
         raise NotConverged(f"{args.scene}: {failure}; what was computed is kept in {folder}")

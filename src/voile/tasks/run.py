@@ -259,8 +259,8 @@ class Steps:
             self._write_step(step, y)
 
     def pause(self, packed: Callable[[], Arrays]) -> None:
-        """Keeps now and then, and at the end, what the path may go on from."""
-        if self.run.restarts.due() or self.over:
+        """Keeps now and then what the path may go on from, and at the end where something was kept."""
+        if self.run.restarts.due() or (self.over and self.run.restarts.step >= 0):
             began = time.perf_counter()
             self.run.keep(
                 self.reached, {**packed(), "reached": numpy.array(self.reached)}, self.writer.steps, began
