@@ -30,7 +30,7 @@ from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransi
 from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.steps import Sharpened
 from voile.solver.methods.tied import Tied
-from voile.solver.nested import Nested, pays
+from voile.solver.nested import Nested, Promising, pays
 from voile.solver.path import StaticsOptions
 
 # Patience of descents in pseudo-time: drapes of 32 x 32 cells took 343 factorisations with 2, 279 with 8.
@@ -49,16 +49,18 @@ class Solver:
         self.negative: int | None = None
         self.off_saddle: OffSaddle | None = None
         self.nests = options.nested and pays(problem)
+        self.nested: Nested | None = None
         if problem.contact:
             self._for_contact(problem, options)
         else:
             self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if self.nests else None)
             minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
-            self.near = Cascade([Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum])
-            nested = self._nested(minimum, options)
+            self.first: Method = Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum
+            first, nested = self._nested(self.first, minimum, options)
+            self.near = Cascade([first])
             self.all = Cascade([*nested, minimum])
             # Where a level does not start from the next coarser one, neither will the finer ones.
-            self.level = Cascade(nested or [minimum])
+            self.level: Method = Cascade(nested or [minimum])
 
     def _for_contact(self, problem: Problem, options: StaticsOptions) -> None:
         work, descent, off = self.work, self.descent, self.perturbation
@@ -66,6 +68,7 @@ class Solver:
         first: Method = self.semismooth
         if PETSc.Options().hasName(OPTION):
             first = Complementarity(work, self.semismooth)
+        self.first = first
         tied = Tied(descent, self.semismooth)
         rough = Descent(work, DescentOptions(patience=ROUGH_PATIENCE), "transient_")
         transient = PseudoTransient(work, rough, self.semismooth, off)
@@ -80,18 +83,27 @@ class Solver:
         if problem.supported:  # what nothing holds has no least potential
             later = [AugmentedLagrangian(descent, self.semismooth, off), *later]
         if options.first == "newton":
-            near = [first, *self._nested(transient, options), tied]
+            first, nested = self._nested(first, transient, options)
+            near = [first, *nested, tied]
             if not contact.itself and (problem.moves or contact.moves):
                 # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
                 near, later = [first, *later], [tied]
         self.near = Cascade(near, self.off_saddle)
         self.level = self.all = Cascade([*near, *later], self.off_saddle)
 
-    def _nested(self, fine: Method, options: StaticsOptions) -> list[Method]:
-        """Nested iteration around a method, where it pays."""
+    def _nested(self, first: Method, fine: Method, options: StaticsOptions) -> tuple[Method, list[Method]]:
+        """The first method, and nested iteration around another, where that pays."""
         if not self.nests:
-            return []
-        return [Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts).level)]
+            return first, []
+        self.nested = Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts))
+        return Promising(first, self.nested), [self.nested]
+
+    def promises(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
+        """Whether the first method converges on the coarsest level of the problem, from y; y moves."""
+        if self.nested:
+            return self.nested.promises(problem, y, tolerance)
+        found = attempt(self.first, problem, y, tolerance)
+        return found.converged or found.saddle is not None
 
     def solve(self, problem: Problem, y: PETSc.Vec, wanted: float, by: Method) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
