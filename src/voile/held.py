@@ -12,6 +12,7 @@ from voile.mesh import Surface, select
 from voile.mesh.topology import Topology
 from voile.problem.local_axes import Hold, frame_axes
 from voile.problem.sections import Section
+from voile.problem.shell import triangle_areas
 from voile.scene import Scene
 from voile.scene.motion import motion_of
 from voile.scene.moves import Move
@@ -68,8 +69,7 @@ def _beyond(surface: Surface, point: Reals, normal: Reals) -> tuple[Ints, Reals]
     height = (surface.points - point) @ normal / np.linalg.norm(normal)
     on = np.abs(height) < ON_PLANE * np.ptp(surface.points, axis=0).max()
     corners = surface.triangles
-    a, b, c = np.moveaxis(surface.points[corners], 1, 0)
-    area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
+    area = np.repeat(triangle_areas(surface.points, corners), 3)
     beyond = area * np.repeat(height[corners].mean(axis=1) > 0.0, 3)
     whole = np.bincount(corners.ravel(), area, len(on))
     share = np.bincount(corners.ravel(), beyond, len(on)) / np.where(whole > 0.0, whole, 1.0)
