@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import voile
+from voile.api import modelled
 from voile.mesh import read_mesh
 from voile.mesh.raw import RawMesh
 
@@ -67,6 +68,46 @@ def test_a_load_on_the_fin_bends_the_strip_as_a_beam():
     )  # 24 cells
     stretch = down[result.start[:, 2] < -DEPTH + 1e-9].mean() - down[joint].mean()
     assert stretch == pytest.approx(force * DEPTH / (YOUNG * WIDTH * THICKNESS), rel=0.02)
+
+
+@pytest.mark.parametrize("refine", [0, 1])
+def test_copies_on_a_joint_count_as_one(refine):
+    """The joint by its vertices, with a fin of which some triangles come before the strip's, and by a box: held, loaded
+    and pressed alike, by its own length."""
+    mesh, line = tee(), NX // 2 * (NY + 1) + np.arange(NY + 1)
+    order = np.roll(np.arange(len(mesh.triangles)), NY * NZ)
+    mixed = RawMesh("tee", mesh.points, mesh.triangles[order], mesh.group[order], mesh.group_names)
+    shells = []
+    for select in (
+        {"nodes": line.tolist()},
+        {"box": [[LENGTH / 2, -1, 0.0], [LENGTH / 2, 1, 0.0]]},
+    ):
+        tables = scene(
+            fix=[{"select": select, "axes": "xy", "clamp": True}, *({"select": end} for end in ENDS)],
+            loads={"force": [{"select": select, "value": [0, 0, 1.0], "per": "length"}]},
+            mass=[{"select": select, "value": 2.0}],
+            band=[{"select": select, "stiffness": 3.0}],
+        )
+        tables["shell"] |= {"mesh": mixed, "refine": refine}
+        shells.append(modelled(voile.load(tables)).shell)
+    for shell in shells:
+        assert shell.force.sum() == pytest.approx(WIDTH)
+        assert np.cross(shell.points, shell.force).sum(axis=0) == pytest.approx(
+            [WIDTH**2 / 2, -0.1 * WIDTH, 0]
+        )
+        assert shell.bars[:, 3].sum() == pytest.approx(WIDTH) and shell.extra_mass.sum() == pytest.approx(2.0)
+        assert np.array_equal(shell.fixed, shells[0].fixed)
+        assert len(shell.clamped_edges) == 2 * NY * 2**refine
+
+
+def test_a_cut_through_a_joint_carries_what_is_beyond_it():
+    """The fin hangs in the plane of the cut: the wall carries the half of the strip, and no force along it."""
+    cut = {"point": [LENGTH / 2, 0, 0], "normal": [1, 0, 0]}
+    tables = scene(loads={"gravity": [0, 0, -9.81]}, fix=[{"select": ENDS[0], "clamp": True}], section=[cut])
+    tables["shell"]["young"] = 1e13
+    found = voile.run(tables).summary["sections"][0]["force"]
+    beyond = DENSITY * THICKNESS * WIDTH * LENGTH / 2 * 9.81
+    assert np.allclose(found, [0, 0, beyond], rtol=0.0, atol=1e-6 * beyond)
 
 
 def test_it_falls_as_one_and_lands():

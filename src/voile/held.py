@@ -50,30 +50,30 @@ def sections_of(scene: Scene, surface: Surface, loops: list[Ints]) -> list[Secti
     sections = []
     for k, table in enumerate(scene.section):
         where = f"{scene.path}: section.{k}"
-        parts = np.zeros(len(surface.points))
+        areas = np.zeros((2, len(surface.points)))
         if table.select is not None:
             vertices = select(surface, loops, table.select, f"{where}.select")
         else:
-            vertices, parts = _beyond(surface, np.array(table.point), np.array(table.normal))
+            vertices, areas = _beyond(surface, np.array(table.point), np.array(table.normal))
         if not 0 < len(vertices) < len(surface.points):
             raise InputError(
                 f"{where} has {len(vertices)} of {len(surface.points)} vertices inside; allowed: some, not all"
             )
         about = None if table.about is None else np.array(table.about)
-        sections.append(Section(table.name or f"section {k}", vertices, about, parts))
+        sections.append(Section(table.name or f"section {k}", vertices, about, areas))
     return sections
 
 
 def _beyond(surface: Surface, point: Reals, normal: Reals) -> tuple[Ints, Reals]:
-    """Vertices (k,) beyond a plane, and the shares (n,) of those on it that lie beyond, by area."""
+    """Vertices (k,) beyond a plane; areas (2, n) m^2 of those on it beyond, and in all, zero elsewhere."""
     height = (surface.points - point) @ normal / np.linalg.norm(normal)
     on = np.abs(height) < ON_PLANE * np.ptp(surface.points, axis=0).max()
     corners = surface.triangles
     area = np.repeat(triangle_areas(surface.points, corners), 3)
     beyond = area * np.repeat(height[corners].mean(axis=1) > 0.0, 3)
     whole = np.bincount(corners.ravel(), area, len(on))
-    share = np.bincount(corners.ravel(), beyond, len(on)) / np.where(whole > 0.0, whole, 1.0)
-    return np.flatnonzero((height > 0.0) & ~on), np.where(on, share, 0.0)
+    areas = np.stack([np.bincount(corners.ravel(), beyond, len(on)), whole])
+    return np.flatnonzero((height > 0.0) & ~on), np.where(on, areas, 0.0)
 
 
 def _by_law(scene: Scene, move: Move | None) -> bool:

@@ -65,8 +65,8 @@ class Attached:
     def _band(self, k: int, band: Any) -> Reals:
         where, x = f"{self.path}: band.{k}.select", self.surface.points
         inside = np.zeros(len(x), dtype=bool)
-        inside[select(self.surface, self.loops, band.select, where)] = True
-        edges = edges_of(self.topology, inside)
+        inside[self.surface.first_copies[select(self.surface, self.loops, band.select, where)]] = True
+        edges = edges_of(self.surface, self.topology, inside)
         if not len(edges):
             raise InputError(f"{where}: no edge has both ends selected")
         length = band.rest * np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)

@@ -85,7 +85,8 @@ def inner_lines(surface: Surface, topology: Topology, lines: Sequence[Sequence[i
 def _nodes(surface: Surface, loops: Sequence[Ints], value: Any, where: str) -> Flags:
     if surface.coarser:
         return carry_nodes(surface, _nodes(surface.coarser, loops, value, where))
-    return _mask(surface, _places(surface, _integers(value, where), where))
+    found = _mask(surface, _places(surface, _integers(value, where), where))
+    return found[surface.first_copies]
 
 
 def _places(surface: Surface, nodes: Ints, where: str) -> Ints:

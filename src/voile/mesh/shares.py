@@ -27,11 +27,11 @@ def portions(
     by length: an edge with both ends selected gives half its length to each (boundary edges only, where they reach all
     that is selected); by area: a triangle with all corners selected gives a third of its area to each; by vertices:
     alike. None: by area where such triangles reach all that is selected, else by length where edges do, else alike.
-    Lengths and areas are those of the start shape. Raises InputError, naming the key `where`, where `by` does not reach
-    what is selected.
+    Lengths and areas are those of the start shape. Copies on joints count as one, the first. Raises InputError, naming
+    the key `where`, where `by` does not reach what is selected.
     """
     inside = np.zeros(len(surface.points), dtype=bool)
-    inside[vertices] = True
+    inside[surface.first_copies[vertices]] = True
     found = {name: _weights(surface, topology, inside, name) for name in SHARES if by in (None, name)}
     if by is None:
         by = next(name for name in ("area", "length", "vertices") if _reaches(found[name], inside))
@@ -53,7 +53,8 @@ def _weights(surface: Surface, topology: Topology, inside: Flags, by: str) -> Re
     if by == "vertices":
         return inside.astype(float)
     if by == "area":
-        t = surface.triangles[inside[surface.triangles].all(axis=1)]
+        t = surface.first_copies[surface.triangles]
+        t = t[inside[t].all(axis=1)]
         twice = np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
         return sums(t.ravel(), np.repeat(twice / 6.0, 3), n)
 
@@ -61,14 +62,18 @@ def _weights(surface: Surface, topology: Topology, inside: Flags, by: str) -> Re
         length = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
         return sums(edges.ravel(), np.repeat(length / 2.0, 2), n)
 
-    return along(edges_of(topology, inside))
+    return along(edges_of(surface, topology, inside))
 
 
-def edges_of(topology: Topology, inside: Flags) -> Ints:
-    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it."""
-    edges = topology.edges[inside[topology.edges].all(axis=1)]
-    rim = topology.edges[topology.boundary_edges]
-    rim = rim[inside[rim].all(axis=1)]
+def edges_of(surface: Surface, topology: Topology, inside: Flags) -> Ints:
+    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it. Copies on joints
+    count as one, the first, which the mask has."""
+    whole = np.sort(surface.first_copies[topology.edges], axis=1)
+
+    def within(edges: Ints) -> Ints:
+        return np.unique(edges[inside[edges].all(axis=1)], axis=0)
+
+    edges, rim = within(whole), within(whole[topology.boundary_edges])
     reached = np.zeros(len(inside), dtype=bool)
     reached[rim] = True
     found: Ints = rim if (reached >= inside).all() else edges

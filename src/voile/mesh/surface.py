@@ -65,6 +65,19 @@ class Surface:
         """The surface as it is in the file."""
         return self.coarser.coarsest if self.coarser else self
 
+    @property
+    def first_copies(self) -> Ints:
+        """(n,) the vertex itself, of copies on joints (mesh.joints) the first."""
+        if self.coarser is None or self.ends is None:
+            first, which = np.unique(self.input_vertex, return_index=True, return_inverse=True)[1:]
+            return first[which]
+        before = self.coarser.first_copies
+        ends = np.sort(before[self.ends], axis=1)
+        first, which = np.unique(
+            ends[:, 0] * len(before) + ends[:, 1], return_index=True, return_inverse=True
+        )[1:]
+        return np.concatenate([before, len(before) + first[which]])
+
     def carry(self, points: Reals, levels: int | None = None) -> Reals:
         """Points (n, 3) of this surface from those of the one `levels` refinements before, by default the file's."""
         if self.coarser is None or self.ends is None or levels == 0:

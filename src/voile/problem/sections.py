@@ -17,12 +17,12 @@ from voile.problem.support_forces import clamp_moments, seams_of
 @dataclass(frozen=True)
 class Section:
     """A cut round `vertices` (k,): moments count about `about` (3,) m, or about the centroid of the vertices next to
-    the cut where they are now. parts (n,): shares of the vertices that lie on the cut itself."""
+    the cut where they are now. areas (2, n): of the vertices that lie on the cut itself those beyond it, and all."""
 
     name: str
     vertices: Ints
     about: Reals | None
-    parts: Reals
+    areas: Reals
 
 
 def section_table(
@@ -34,7 +34,7 @@ def section_table(
     A triangle away from the cut is in balance with itself, so the elastic forces at the vertices inside add up to what
     crosses it: exactly what balances the loads, reactions and inertia there. What is sewn counts with the vertices that
     it follows. Clamps inside turn their triangles from outside the shell: their moments are taken off. Of a vertex on
-    the cut, its part of the loads and inertia counts; what holds it is on the other side.
+    the cut, with what is sewn to it, its part of the loads and inertia counts; what holds it is on the other side.
     """
     at = problem.point(y)
     elastic = problem.elastic.forces(at)[: problem.layout.vertices].reshape(-1, 3)
@@ -50,9 +50,13 @@ def section_table(
     for section in sections:
         inside = np.zeros(len(x))
         inside[section.vertices] = 1.0
-        share = sewing @ (joined @ inside > 0.0)  # of each vertex's force, that reaches what is inside
+        held = joined @ inside > 0.0
+        share = sewing @ held  # of each vertex's force, that reaches what is inside
+        beyond, whole = section.areas @ sewing
+        on = (joined @ section.areas[1] > 0.0) & ~held
+        parts = sewing @ np.where(on, beyond / np.where(on, whole, 1.0), 0.0)
         about = _next_to(shell, x, share > 0.0) if section.about is None else section.about
-        force = share[:, None] * forces - np.where(share > 0.0, 0.0, section.parts)[:, None] * loads
+        force = share[:, None] * forces - parts[:, None] * loads
         moment = np.cross(x - about, force).sum(axis=0)
         moment -= (share[ends].min(axis=1)[:, None] * moments).sum(axis=0)
         table.append({"name": section.name, "force": force.sum(axis=0), "moment": moment, "about": about})
