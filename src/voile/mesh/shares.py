@@ -66,8 +66,8 @@ def _weights(surface: Surface, topology: Topology, inside: Flags, by: str) -> Re
 
 
 def edges_of(surface: Surface, topology: Topology, inside: Flags) -> Ints:
-    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it. Copies on joints
-    count as one, the first, which the mask has."""
+    """(k, 2) edges with both ends inside, a mask (n,): those of the boundary where they reach all of it. Copies on
+    joints count as one, the first, which the mask has."""
     whole = np.sort(surface.first_copies[topology.edges], axis=1)
 
     def within(edges: Ints) -> Ints:
