@@ -71,7 +71,8 @@ def edges_of(surface: Surface, topology: Topology, inside: Flags) -> Ints:
     whole = np.sort(surface.first_copies[topology.edges], axis=1)
 
     def within(edges: Ints) -> Ints:
-        return np.unique(edges[inside[edges].all(axis=1)], axis=0)
+        found: Ints = np.unique(edges[inside[edges].all(axis=1)], axis=0)
+        return found
 
     edges, rim = within(whole), within(whole[topology.boundary_edges])
     reached = np.zeros(len(inside), dtype=bool)
