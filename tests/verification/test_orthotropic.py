@@ -10,9 +10,10 @@ from kernel_shell import irregular_mesh
 from voile.cli import main
 from voile.elastic import evaluate
 from voile.elastic.weave import Woven, isotropic, warp_directions, weave_rows
-from voile.mesh import read_mesh, texture_direction
+from voile.mesh import build_topology, read_mesh, texture_direction
 from voile.mesh.surface import read_rest
 from voile.problem.levels import coarsen
+from voile.problem.shell import area_vectors
 from voile.results import read_result, read_summary
 from voile.scene.library import MEASURED, fabric
 from voile.scene.reader import read_scene
@@ -264,6 +265,24 @@ def test_the_librarys_fabrics_are_what_was_measured(tmp_path, name):
     assert scene.shell.material == "orthotropic" and scene.shell.young == keys["young"]
     assert scene.shell.thickness == 2e-3
     assert np.isfinite(build_model(scene).shell.weave).all()
+
+
+def test_the_sources_hinges_bend_as_the_plate_of_a_quarter_of_their_stiffness():
+    """A grid on a cylinder of curvature 1/R: sum over hinges of k l^2 theta^2 / (8 a) against area B / (2 R^2)."""
+    u, v, triangles, _ = mapped(20, 8, "right")
+    radius, x = 0.3, np.column_stack([u, 0.4 * v, 0.0 * u])
+    bent = np.column_stack([radius * np.sin(u / radius), 0.4 * v, radius * np.cos(u / radius)])
+    top = build_topology(triangles)
+    half = np.flatnonzero(top.across.ravel() > np.arange(top.across.size))
+    other = top.across.ravel()[half]
+    n, area = area_vectors(bent, triangles), np.linalg.norm(area_vectors(x, triangles), axis=1) / 2.0
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    theta = np.arccos(np.clip(np.einsum("ti,ti->t", n[half // 3], n[other // 3]), -1.0, 1.0))
+    i, j = top.edges[top.triangle_edges.ravel()[half]].T
+    length = np.linalg.norm(x[j] - x[i], axis=1)
+    hinges = (length**2 * theta**2 / (8.0 * (area[half // 3] + area[other // 3]))).sum()  # k = 1
+    assert hinges == pytest.approx(area.sum() * 0.25 / (2.0 * radius**2), rel=0.06)  # no hinge on the border
+    assert MEASURED["cotton-polyester"][2][0] == pytest.approx(125.409805e-6 / 4.0)
 
 
 @pytest.mark.parametrize(

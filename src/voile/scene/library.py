@@ -4,6 +4,10 @@ Source: Wang, O'Brien and Ramamoorthi (2011), "Data-driven elastic models for cl
 Transactions on Graphics 30(4); samples "11oz-black-denim", "royal-target", "white-dots-on-blk", "ivory-rib-knit",
 "camel-ponte-roma" as distributed with ARCSim, whose second direction (along v) is the warp here. Taken: the smallest
 strain and curvature.
+
+Bending there is the k of the hinge energy k l^2 theta^2 / (8 a), l an edge's length, theta its angle, a the area of its
+two triangles (Bridson et al. 2003; ARCSim's bending_energy). Of a grid bent to a cylinder of curvature c that is
+k c^2 / 8 per area, and B c^2 / 2 of a plate: B = k/4.
 """
 
 from typing import Any
@@ -19,33 +23,39 @@ THICKNESS = {
     "double-jersey": 0.9e-3,
 }
 
+
+def _strips(*stiffnesses: float) -> tuple[float, ...]:
+    """Bending stiffnesses (N m) of strips from those of the source's hinges (1e-6 N m)."""
+    return tuple(1e-6 * k / 4.0 for k in stiffnesses)
+
+
 # Per area mass (kg/m^2); stretching (N/m): weft, coupling, warp, shear (the energy has half of it times e12^2); bending
 # (N m) of strips along the warp, at 45 degrees, along the weft.
 MEASURED = {
     "denim": (
         0.324,
         (205.352005, 10.234077, 1013.88629, 53.387184),
-        (64.196457e-6, 73.384567e-6, 96.951576e-6),
+        _strips(64.196457, 73.384567, 96.951576),
     ),
     "cotton-polyester": (
         0.220,
         (2016.55456, 9.170511, 2034.97644, 104.759674),
-        (125.409805e-6, 107.997696e-6, 125.409805e-6),
+        _strips(125.409805, 107.997696, 125.409805),
     ),
     "polyester": (
         0.128,
         (2002.08618, 0.345588, 2027.48559, 19.189022),
-        (51.713814e-6, 40.659470e-6, 31.282822e-6),
+        _strips(51.713814, 40.659470, 31.282822),
     ),
     "rib-knit": (
         0.276,
         (42.871021, -0.234556, 65.166023, 83.175644),
-        (46.237591e-6, 30.015930e-6, 32.243889e-6),
+        _strips(46.237591, 30.015930, 32.243889),
     ),
     "double-jersey": (
         0.284,
         (31.146198, -12.802702, 44.028667, 31.896357),
-        (36.348366e-6, 33.013252e-6, 37.157593e-6),
+        _strips(36.348366, 33.013252, 37.157593),
     ),
 }
 
