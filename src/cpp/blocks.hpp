@@ -22,6 +22,7 @@ struct alignas(64) Block {
   // dalpha_i = own (turn of this triangle) + other (turn of the neighbour): 1/2 each, 0 on a boundary; 1, 0
   // clamped
   float own[3][LANES];
+  float side[3][LANES];  // sign of the sine of half the fold, 0 where it is within 180 degrees
   int first, count;
 };
 
@@ -39,6 +40,7 @@ inline std::vector<Block> make_blocks(const Mesh& mesh, const int* corner) {
         k.edge[i][lane] = mesh.edge[half];
         k.sign[i][lane] = (float)mesh.sign[half];
         k.own[i][lane] = other < 0 ? 0.0f : 0.5f;
+        k.side[i][lane] = 0.0f;
       }
   }
   return blocks;
@@ -122,7 +124,7 @@ VOILE_INLINE Local local_shape(const Block& block, const double* base, const dou
       auto shared = w.own[i].p == 0.5;
       w.other[i] = select(shared, Real(0.5), Real(0.0));
       Real s, c;
-      half_fold(w.t.n, w.next[i].n, w.t.unit[i] * w.t.e[i], s, c);
+      half_fold(w.t.n, w.next[i].n, w.t.unit[i] * w.t.e[i], widen(block.side[i]), s, c);
       w.q.s[i] = select(shared, s, Real(0.0)), w.q.c[i] = select(shared, c, Real(1.0));
     }
   }

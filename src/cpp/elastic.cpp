@@ -6,6 +6,7 @@
 #include <string>
 
 #include "assembly.hpp"
+#include "folds.hpp"
 #include "sensitivities.hpp"
 
 namespace voile {
@@ -28,6 +29,7 @@ class ElasticModel final : public Elastic {
   std::vector<Block> rest_blocks;
   std::vector<double> rest_points, still;  // still: no displacement
   bool rest_flat = false;
+  std::vector<int> sides;                                   // (3m) of half edges; empty: all 0
   std::vector<double> predicted_tension, predicted_moment;  // (3m) dW/dl, dW/dalpha extrapolated by predict()
 
   // Values of a (3m) array for corner or edge i.
@@ -131,6 +133,7 @@ class ElasticModel final : public Elastic {
       if (clamps[k].at_rest) rest_clamp_of[clamps[k].half_edge] = (int)k;
     }
     blocks = clamped_blocks(mesh.corner.data(), clamp_of);
+    mark_sides(sides, blocks);
   }
 
   void set_rest(const double* points, const int* corners, bool flat) override {
@@ -320,17 +323,26 @@ class ElasticModel final : public Elastic {
       store_jacobian<Model>(rest_blocks[b], rest_local(b), !rest_flat, false, jacobian);
   }
 
+  void set_sides(const int* given) override {
+    sides.assign(given, given + 3 * (size_t)mesh.triangles);
+    mark_sides(sides, blocks);
+  }
+
+  void fold_sides(State state, int* out) override {
+    std::fill(out, out + 3 * (size_t)mesh.triangles, 0);
+    if constexpr (Model::bends && Model::Fibre::passes) {
+      for (const Block& block : blocks)
+        store_sides(block, local_shape<true>(block, mesh.start.data(), state.displacement), out);
+      for (size_t half = 0; half < mesh.across.size();
+           ++half)  // at 180 degrees round-off may tell them apart
+        if (mesh.across[half] >= 0 && mesh.across[half] < (int)half) out[half] = out[mesh.across[half]];
+    }
+  }
+
   bool folds_over(State before, State after) override {
-    constexpr double closed = 1e-3;  // cosine of half a hinge's angle, 0.1 degrees from 180
     if constexpr (Model::bends)
-      for (const Block& block : blocks) {
-        Local a = local(block, before), b = local(block, after);
-        for (int i = 0; i < 3; ++i)
-          for (int lane = 0; lane < block.count; ++lane) {
-            double from = a.q.c[i][lane], to = b.q.c[i][lane];
-            if (from > closed && from * to + a.q.s[i][lane] * b.q.s[i][lane] <= 0.0) return true;
-          }
-      }
+      for (const Block& block : blocks)
+        if (turns_through(block, local(block, before), local(block, after))) return true;
     return false;
   }
 

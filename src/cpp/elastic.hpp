@@ -87,6 +87,13 @@ class Elastic {
   // second's with respect to the alpha: (m, 8).
   virtual void stresses(State state, double* out) = 0;
 
+  // Per half edge (3m): the sign of the sine of half the fold where that is within 90 degrees of 180 and may
+  // go on through them, 0 where it is none of this. A fold that has gone on through 270 degrees is one the
+  // other way.
+  virtual void fold_sides(State state, int* sides) = 0;
+  // Folds go on from these sides: at first none does.
+  virtual void set_sides(const int* sides) = 0;
+
   // Whether some hinge turns through 180 degrees on the way between two states. Those within 0.1 degrees of
   // it at the start do not count: it is not known on which side they are.
   virtual bool folds_over(State before, State after) = 0;

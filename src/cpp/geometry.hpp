@@ -44,12 +44,20 @@ VOILE_INLINE void build_facet(const Vec3 x[3], Facet<H>& t) {
   }
 }
 
-// Sine and cosine of half the fold between unit normals n (left of the unit edge) and m.
-VOILE_INLINE void half_fold(const Vec3& n, const Vec3& m, const Vec3& unit_edge, Real& s, Real& c) {
-  Vec3 sum = n + m;
-  Real length = max(sqrt(dot(sum, sum)), Real(1e-300));
-  c = Real(0.5) * length;
-  s = dot(cross(n, m), unit_edge) / length;
+// Sine and cosine of half the fold between unit normals n (left of the unit edge) and m. The fold is within
+// 180 degrees, but where `side` gives the sign that the sine has: there it goes on through them. The larger
+// of the two is a length, so both keep their digits at 180 degrees as well.
+VOILE_INLINE void half_fold(const Vec3& n, const Vec3& m, const Vec3& unit_edge, const Real& side, Real& s,
+                            Real& c) {
+  const auto sharp = dot(n, m).p < 0.0;
+  const Vec3 longer = select(sharp, n - m, n + m);
+  const Real length = sqrt(dot(longer, longer)), half = Real(0.5) * length;
+  const Real smaller = dot(cross(n, m), unit_edge) / length;  // of the sine's sign
+  const auto left = smaller.p < 0.0;
+  s = select(sharp, select(left, Real(0.0) - half, half), smaller);
+  c = select(sharp, select(left, Real(0.0) - smaller, smaller), half);
+  const auto other = (s * side).p < 0.0;
+  s = select(other, Real(0.0) - s, s), c = select(other, Real(0.0) - c, c);
 }
 
 // What a triangle, its neighbour across an edge and that edge have changed by since the start shape.

@@ -137,6 +137,14 @@ static void bind_model(nb::module_& m) {
            [](Model& s, Doubles u, Doubles phi, Doubles moved_u, Doubles moved_phi) {
              return s.elastic->folds_over(s.state(u, phi), s.state(moved_u, moved_phi));
            })
+      .def("fold_sides",
+           [](Model& s, Doubles u, Doubles phi) {
+             std::vector<int> sides(3 * s.count());
+             s.elastic->fold_sides(s.state(u, phi), sides.data());
+             return to_numpy(std::move(sides), {s.count(), 3});
+           })
+      .def("set_sides",
+           [](Model& s, Ints sides) { s.elastic->set_sides(sized(sides, 3 * s.count(), "sides")); })
       .def("turn_gradient",
            [](Model& s, Doubles u, Doubles phi, Doubles weight, Output g) {
              s.elastic->turn_gradient(s.state(u, phi), sized(weight, 3 * s.count(), "weights"),

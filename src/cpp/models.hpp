@@ -100,7 +100,8 @@ inline T lame_mu(const Fabric<T>& f) {
   return 0.5 * (f.young / (T(1.0) + f.poisson));
 }
 
-// ---- bending variants: f of sin(alpha), cos(alpha); its increase over that at rest ----
+// ---- bending variants: f of sin(alpha), cos(alpha); its increase over that at rest; whether it goes on
+// through 180 degrees of a hinge ----
 
 // What it takes to subtract f(alpha_rest) from f = f(alpha): sines and cosines of alpha, alpha_rest and their
 // difference.
@@ -109,7 +110,7 @@ struct Turned {
 };
 
 struct Sin {
-  static constexpr bool directors = true;
+  static constexpr bool directors = true, passes = true;
   template <class T>
   static T f(const T& s, const T&) {
     return s;
@@ -122,7 +123,7 @@ struct Average : Sin {  // all director angles zero: the mid-edge normal bisects
   static constexpr bool directors = false;
 };
 struct Tan {  // infinite at a fully folded hinge
-  static constexpr bool directors = true;
+  static constexpr bool directors = true, passes = false;
   template <class T>
   static T f(const T& s, const T& c) {
     return s / select(value(c).p > 0.0, c, T(0.0));
@@ -130,7 +131,7 @@ struct Tan {  // infinite at a fully folded hinge
   static Real increase(const Turned& t) { return t.sine / (select(t.c.p > 0.0, t.c, Real(0.0)) * t.c_rest); }
 };
 struct Theta {
-  static constexpr bool directors = true;
+  static constexpr bool directors = true, passes = true;
   template <class T>
   static T f(const T& s, const T& c) {
     return angle(s, c);

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from voile import _kernels
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.problem.partition import Part
 from voile.problem.terms import Point, Term
 
@@ -17,12 +17,14 @@ SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
 class Elastic(Term):
     """The energy of a model, by its kernel; flat: the rest shape has no folds. `stiffness`: a factor on it, 1 but while
     a step in time is damped. `passes`: hinges may turn through 180 degrees, as they may in time where no layer is in
-    another's way; equilibria never need it. `seconds`: spent in it, and in what goes into the matrix with it."""
+    another's way; equilibria never need it. `sides` (m, 3) marks the half edges whose hinges go on through them, and
+    from which side. `seconds`: spent in it, and in what goes into the matrix with it."""
 
     def __init__(self, part: Part, model: str, flat: bool):
         self.part, self.model, self.flat = part, model, flat
         self.seconds, self.stiffness, self.passes = 0.0, 1.0, False
         self._twins: list[Elastic] = []
+        self.sides: Ints = np.zeros((len(part.corners), 3), dtype=np.int32)
         self._time, self._turns = 0.0, bool((part.half_edge_clamp[:, 6] >= 0.0).any())
         self.count_from(part.points)
 
@@ -32,6 +34,7 @@ class Elastic(Term):
         for twin in self._twins:
             twin.count_from(start)
         self.kernel = make_kernel(self.part, self.model, start, self.flat, self._time)
+        self.kernel.set_sides(self.sides)
         if self.stiffness != 1.0:
             self._stiffen()
 
@@ -52,10 +55,24 @@ class Elastic(Term):
         """The same with a kernel of its own, for what is evaluated at several points."""
         while len(self._twins) <= number:
             twin = Elastic(self.part, self.model, self.flat)
+            twin.take_sides(self.sides)
             twin.count_from(self._start)
             self._twins.append(twin)
         self._twins[number].passes = self.passes
         return self._twins[number]
+
+    def sides_at(self, at: Point) -> Ints:
+        """`sides` for what goes on from a point: of the hinges within 90 degrees of 180 there. One that has come from
+        the other side by 270 degrees has folded to this one by 90."""
+        found: Ints = self.at(at.time).fold_sides(at.u, at.phi) if self.passes else np.zeros_like(self.sides)
+        return found
+
+    def take_sides(self, sides: Ints) -> None:
+        """Hinges go on from these sides."""
+        self.sides = sides
+        self.kernel.set_sides(sides)
+        for twin in self._twins:
+            twin.take_sides(sides)
 
     @contextmanager
     def stiffened(self, factor: float) -> Iterator[None]:

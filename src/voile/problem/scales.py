@@ -32,6 +32,13 @@ def force_floor(problem: Problem) -> float:
     return float(1e-14 * float(np.sqrt(total)) * problem.size() / max(np.sqrt(problem.unknowns), 1.0))
 
 
+def mean_mass(problem: Problem) -> float:
+    """Of a vertex (kg)."""
+    mass = problem.vertex_mass()[problem.own]
+    total = problem.comm.allreduce(np.array([mass.sum(), len(mass)]))
+    return float(total[0] / total[1])
+
+
 def round_off(problem: Problem, y: PETSc.Vec) -> tuple[float, float]:
     """Norms of the residual's change (N) when every unknown changes by its last place, which `Problem.move_origin` can
     help, and of what the last places of the positions make of its evaluation, which nothing can."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import json
+import mmap
 import os
 import re
 import stat
@@ -106,7 +107,7 @@ def fresh(path: Path) -> IO[bytes]:
     return open(path, "xb")
 
 
-def replace(path: Path, data: bytes) -> None:
+def replace(path: Path, data: bytes | mmap.mmap) -> None:
     """Puts data into a file, all or nothing. The room that `held_output` kept for a summary is used."""
     part = path.with_name(f".{path.name}.part")
     with _own(part) or fresh(part) as file:

@@ -6,6 +6,7 @@ which it replaces, at times that cost little of the run's.
 
 from __future__ import annotations
 
+import mmap
 import os
 import time
 from collections.abc import Mapping
@@ -40,8 +41,9 @@ class Column:
     def append(self, row: Any) -> None:
         """Makes room for as many again where there is none."""
         if self.count == len(self._array):
-            room = np.empty((max(self.count, 64), *self._array.shape[1:]), self._array.dtype)
-            self._array = np.concatenate([self._array, room])
+            grown = np.empty((self.count + max(self.count, 64), *self._array.shape[1:]), self._array.dtype)
+            grown[: self.count] = self._array  # memory that nothing has been written to costs nothing
+            self._array = grown
         self._array[self.count] = row
         self.count += 1
 
@@ -76,15 +78,15 @@ class HistoryWriter:
         if not self._columns:
             return
         began = time.perf_counter()
-        # made in memory: HDF5 does not survive a full disk
-        with self._h5py.File(self.path.name, "w", driver="core", backing_store=False) as file:
-            group = file.create_group("voile/history")
-            for name, values in self._columns.items():
-                group[name] = values.rows
-            file.flush()
-            image = file.id.get_file_image()
-        with told(self.path):
-            replace(self.path, image)
+        # Made in memory, for HDF5 does not survive a full disk; not the heap's, where images that grow leave holes.
+        with os.fdopen(os.memfd_create("history"), "w+b") as memory:
+            with self._h5py.File(memory, "w") as file:
+                group = file.create_group("voile/history")
+                for name, values in self._columns.items():
+                    group[name] = values.rows
+            memory.flush()
+            with told(self.path), mmap.mmap(memory.fileno(), 0, access=mmap.ACCESS_READ) as image:
+                replace(self.path, image)
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
 
 

@@ -23,7 +23,7 @@ from voile.results.folder import RECORD, fresh, replace, told
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-FORMAT = 3  # of the arrays
+FORMAT = 4  # of the arrays
 OF = "of"  # the array that says which run a set is of
 DAMAGED = OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error
 

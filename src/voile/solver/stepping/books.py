@@ -41,12 +41,13 @@ def created(entries: dict[str, float]) -> float:
 
 @dataclass
 class Ended:
-    """A step that ended at the unknowns y with the kinematics `after`."""
+    """A step that ended at the unknowns y with the kinematics `after`; lost (J): elastic energy at its start."""
 
     forces: StepForces
     y: PETSc.Vec
     after: Kinematics
     prediction: Prediction
+    lost: float = 0.0
 
 
 @dataclass
@@ -113,6 +114,7 @@ class Books:
             "damping_dissipated": wind - work["damping"],
             "wind_work": wind,
             "scheme_dissipated": (moved - gained)
+            + step.lost
             - (work["elastic"] + stored)
             - (work["loads"] + potential if problem.conservative else 0.0),
             "supports_work": moved - sum(work.values()) - contact["total"] - missed,

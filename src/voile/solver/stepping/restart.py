@@ -25,7 +25,7 @@ def packed(problem: Problem, path: TimePath) -> Arrays:
     y = path.state.copy()
     y.axpy(1.0, problem.layout.origin)
     found = {name: getattr(k, name) for name in FIELDS}
-    found |= {"y": y.array_r.copy(), "pushed": path.pushed}
+    found |= {"y": y.array_r.copy(), "pushed": path.pushed, "sides": problem.elastic.sides}
     if k.before:
         found |= {"before.positions": k.before.positions, "before.velocity": k.before.velocity}
         found["before.step"] = np.array(k.before.step)
@@ -121,6 +121,7 @@ def unpacked(problem: Problem, found: Arrays) -> TimePath:
     path = TimePath(y, Kinematics(**known, before=before), books)
     path.time, path.length, path.largest, books.error, books.most = found["scalars"].tolist()
     path.pushed = found["pushed"]
+    problem.elastic.take_sides(found["sides"])
     path.methods = found["methods"].tobytes().decode().split("\n") if len(found["methods"]) else []
     *counts, path.attempts = found["counts"].tolist()
     for name, value in zip(COUNTS, counts, strict=True):

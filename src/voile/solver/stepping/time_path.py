@@ -17,7 +17,7 @@ from voile.problem.contact import contact_report
 from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.scales import force_floor, slow_rate
+from voile.problem.scales import force_floor, mean_mass, slow_rate
 from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
@@ -25,6 +25,7 @@ from voile.solver.methods.semismooth import law_norms
 from voile.solver.stepping.blame import crushed, starts_inside
 from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.creation import Creation
+from voile.solver.stepping.folds import Folds
 from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean, Prediction, Scheme
 
@@ -168,7 +169,7 @@ class Stepper:
         self.damping, path.length = options.damping, path.length or options.time_step
         solver.counts.add(path.counts)
         path.counts = solver.counts
-        self.mass = _mean_mass(problem)
+        self.mass, self.folds = mean_mass(problem), Folds()
         problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         self.finest = self.options.finest * options.time_step  # s
@@ -244,6 +245,7 @@ class Stepper:
         y, k = self.y, self.k
         start, before = self.problem.save(y), self.solver.counts.iterations
         problem = self.problem.at(end)
+        self.folds.follow(self.problem, self.problem.point(y))
         forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
         self._begin_contact(problem, scheme, start.time, h)
         self._guess(problem, scheme.predict(k, h))
@@ -269,6 +271,7 @@ class Stepper:
         self.problem, self.k = problem, after
         if scheme is self.asked.scheme:
             self.path.books.enter(entries)
+            self.folds.lost = 0.0
         done = TimeStep(
             problem.time,
             h,
@@ -286,7 +289,7 @@ class Stepper:
         """Kinematics at the end of a step, which is y, and its entries in the books."""
         x = forces.problem.positions(self.y)
         after = forces.scheme.update(self.k, forces.h, prediction, x)
-        return after, self.path.books.entries(Ended(forces, self.y, after, prediction))
+        return after, self.path.books.entries(Ended(forces, self.y, after, prediction, self.folds.lost))
 
     def _misses(self, entries: dict[str, float], end: float) -> bool:
         """Whether with a step up to the time `end` (s) the books miss more than their share."""
@@ -373,13 +376,6 @@ class Stepper:
         )
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
-
-
-def _mean_mass(problem: Problem) -> float:
-    """Of a vertex (kg)."""
-    mass = problem.vertex_mass()[problem.own]
-    total = problem.comm.allreduce(np.array([mass.sum(), len(mass)]))
-    return float(total[0] / total[1])
 
 
 def _pushed(problem: Problem, x: Reals) -> Flags:
