@@ -162,7 +162,7 @@ def command(build: Callable[..., tuple[np.ndarray, ...]]) -> None:
         if name == "diagonals":
             kind["choices"] = DIAGONALS
         parser.add_argument(option, default=default, help=f"default {default}", **kind)
-    parser.add_argument("output", help="OBJ file to write")
+    parser.add_argument("output", help="OBJ file to write; of frames a pattern such as body_%%03d.obj")
     options = vars(parser.parse_args())
     output = options.pop("output")
     try:
@@ -171,10 +171,13 @@ def command(build: Callable[..., tuple[np.ndarray, ...]]) -> None:
         points, triangles = mesh[:2]
         texture, texture_triangles, groups = (*mesh[2:], None, None, None)[:3]
         comment = f"meshes/{build.__name__}.py: {settings}; metres"
-        write_obj(output, points, triangles, texture, texture_triangles, groups, comment=comment)
-    except ValueError as error:
+        frames = points if points.ndim == 3 else [points]
+        for k, shape in enumerate(frames):
+            file = output % k if points.ndim == 3 else output
+            write_obj(file, shape, triangles, texture, texture_triangles, groups, comment=comment)
+    except (TypeError, ValueError) as error:
         parser.error(str(error))
-    print(f"{output}: {len(mesh[0])} vertices, {len(mesh[1])} triangles")
+    print(f"{output}: {len(frames[0])} vertices, {len(triangles)} triangles")
 
 
 def positive(**values: float) -> None:

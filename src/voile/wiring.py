@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from voile.arrays import Flags, Ints, Reals
+from voile.contact.frames import Frames
 from voile.contact.motion import Motion
-from voile.contact.obstacles import SHAPES, Obstacle
+from voile.contact.obstacles import SHAPES, MeshBody, Obstacle
 from voile.elastic import has_directors, model_name
 from voile.elastic.weave import Woven, warp_of, weave_rows
 from voile.errors import InputError
@@ -288,9 +289,14 @@ def build_obstacles(scene: Scene) -> list[Obstacle]:
     return found
 
 
+def _frames_of(body: Obstacle) -> Frames | None:
+    """Of a body that deforms in time."""
+    return body.frames if isinstance(body, MeshBody) else None
+
+
 def _check_frames(scene: Scene, k: int, body: Obstacle) -> None:
     """Raises InputError where a body that deforms in time ends early."""
-    frames = getattr(body, "frames", None)
+    frames = _frames_of(body)
     if frames is None:
         return
     duration = scene.dynamics.duration
@@ -329,8 +335,15 @@ def static_mesh(model: Model, shell: Shell, directors: bool) -> StaticMesh:
         group=model.surface.group,
         group_names=model.surface.group_names,
         point_data={"input_vertex": model.surface.input_vertex},
-        bodies=tuple(Body(o.name, o.friction, *o.surface(bounds)) for o in model.obstacles),
+        bodies=tuple(_body(o, bounds) for o in model.obstacles),
     )
+
+
+def _body(obstacle: Obstacle, bounds: Reals) -> Body:
+    """As it is drawn, near the shell's bounds (2, 3) m."""
+    frames = _frames_of(obstacle)
+    deforms = () if frames is None else (frames.points, frames.step)
+    return Body(obstacle.name, obstacle.friction, *obstacle.surface(bounds), *deforms)
 
 
 def weight(shell: Shell) -> float:

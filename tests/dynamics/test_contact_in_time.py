@@ -6,8 +6,10 @@ from moving import Recorded, cloth, move
 from scipy.spatial.transform import Rotation
 from test_problem import sheet
 
+from voile.cli import main
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Plane, Sphere
+from voile.mesh import write_obj
 from voile.solver.stepping.schemes import SCHEMES
 
 G = 9.81
@@ -110,3 +112,21 @@ def test_a_turning_ball_takes_a_sheet_along_by_friction():
         assert run.path.books.totals["obstacles_work"] > 0.0
         assert run.solver.counts.factorisations < 5 * run.path.count
     assert 0.1 < found[0] < 0.8 * rate and found[1] == pytest.approx(rate, rel=0.02)
+
+
+def test_layers_may_touch_from_the_start_on(tmp_path):
+    points, triangles = sheet(4, 4, 0.1, 0.1)
+    both = np.concatenate([points, points + np.array([0.0, 0.0, 0.95e-3])])
+    write_obj(tmp_path / "sheets.obj", both, np.concatenate([triangles, triangles + len(points)]))
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        '[scene]\ntask = "dynamics"\n[shell]\nmesh = "sheets.obj"\nmodel = "projective"\n'
+        "young = 1e5\nthickness = 1e-3\ndensity = 300.0\n[contact]\nself_contact = true\n"
+        "[loads]\ngravity = [0.0, 0.0, -9.81]\n"
+        "[dynamics]\ntime_step = 0.005\nduration = 0.02\n"
+    )
+    for solver in ("newton", "local-global"):
+        assert (
+            main(["run", str(scene), "-o", str(tmp_path / solver), "--set", f'dynamics.solver="{solver}"'])
+            == 0
+        )

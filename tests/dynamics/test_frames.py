@@ -9,8 +9,11 @@ from test_problem import sheet
 from test_runs_in_time import SCENE, scene
 
 from voile.cli import main
+from voile.contact.field import distance_field
 from voile.contact.frames import Frames
 from voile.contact.obstacles import Sphere
+from voile.post.contact import surfaces
+from voile.results import read_result
 
 __all__ = ["scene"]  # a fixture
 
@@ -23,7 +26,7 @@ def ball(cells: int = 24) -> tuple[np.ndarray, np.ndarray]:
 def frames_of(places: list[np.ndarray], radii: list[float], step: float = 0.1) -> Frames:
     points, triangles = ball()
     shapes = np.array([r * points + c for r, c in zip(radii, places, strict=True)])
-    return Frames(shapes, triangles, step, 0.02, "ball")
+    return Frames(shapes, step, distance_field(shapes[0], triangles, 0.02), "ball")
 
 
 def test_what_touches_a_body_goes_with_it():
@@ -44,7 +47,7 @@ def test_a_ball_that_swells_lifts_a_sheet():
 
     places, radii = [np.array([0.0, 0.0, -0.1])] * 3, [0.099, 0.119, 0.119]
     frames = frames_of(places, radii)
-    body = MeshBody.around(frames.points[0], frames.triangles, 0.01, friction=0.5, frames=frames)
+    body = MeshBody(**vars(frames.first), friction=0.5, frames=frames)
     points, triangles = sheet(4, 4, 0.1, 0.1)
     points -= np.array([0.05, 0.05, 0.0])
     shell = cloth(points, triangles, young=1e6, thickness=2e-3)
@@ -89,3 +92,7 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
     assert main(run) == 2 and "other triangles" in capsys.readouterr().err
     write_frames(tmp_path, 3)
     assert main(run) == 0
+    with read_result(tmp_path / "out") as result:  # pictures draw the body as it is at the step's time
+        for step in (0, 4, -1):
+            (drawn, _), shift = surfaces(result, step)[0], 0.1 * result.values[step]
+            np.testing.assert_allclose(drawn, 0.1 * ball()[0] + [0.5 + shift, 0.25, -0.12], atol=1e-7)

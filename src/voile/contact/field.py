@@ -60,13 +60,14 @@ class DistanceField:
     def distance(self, p: Reals) -> Reals:
         """(n,) m at points (n, 3)."""
         place, beyond = self._clamp(p)
-        found: Reals = self._spline(place, 0)[0] + np.linalg.norm(beyond, axis=1)
+        spline = map_coordinates(self.coefficients, place.T, order=3, mode="mirror", prefilter=False)
+        found: Reals = spline + np.linalg.norm(beyond, axis=1)
         return found
 
     def derivatives(self, p: Reals) -> tuple[Reals, Reals, Reals]:
         """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
         place, beyond = self._clamp(p)
-        gap, gradient, hessian = self._spline(place, 2)
+        gap, gradient, hessian = self._spline(place)
         far, out = unit(beyond, np.zeros(3))
         away = np.where(beyond != 0.0, 1.0, 0.0)
         kept = 1.0 - away  # the spline varies only along the axes on which the place is not clamped
@@ -79,8 +80,8 @@ class DistanceField:
         inner = np.clip(place, 1.0, np.array(self.coefficients.shape) - 2.0)
         return inner, (place - inner) * self.spacing
 
-    def _spline(self, place: Reals, order: int) -> tuple[Reals, ...]:
-        """Value and, with order 2, gradient and Hessian of the spline at places (n, 3) in spacings."""
+    def _spline(self, place: Reals) -> tuple[Reals, Reals, Reals]:
+        """Value, gradient and Hessian of the spline at places (n, 3) in spacings."""
         last = np.array(self.coefficients.shape) - 3
         cell = np.clip(np.floor(place).astype(int), 1, last)
         t = place - cell
@@ -92,8 +93,6 @@ class DistanceField:
         w, d, dd = _weights(t)
         planes = np.einsum("nabc,nc->nab", c, w[:, 2])
         value = np.einsum("nab,na,nb->n", planes, w[:, 0], w[:, 1])
-        if order == 0:
-            return (value,)
         slopes, bends = np.einsum("nabc,nc->nab", c, d[:, 2]), np.einsum("nabc,nc->nab", c, dd[:, 2])
 
         def along(grid: Reals, first: Reals, second: Reals) -> Reals:
@@ -143,26 +142,39 @@ def distance_field(
     if not resolution and spacing > RESOLVED * thickness:
         space = np.prod(np.ptp(points, axis=0) + 2 * (BAND + COARSE) * thickness)
         spacing = max(thickness, float(np.cbrt(space / AFFORDABLE)))
+    body = _sampled(points, triangles, skin, spacing, source)
+    return replace(body, thinnest=thinnest, measured=_measure(body, skin))
+
+
+def another_shape(body: DistanceField, points: Reals, source: str) -> DistanceField:
+    """That of the same mesh with its points (n, 3) m elsewhere, as finely. Its error is taken for the first one's."""
+    triangles, points = np.ascontiguousarray(body.triangles), np.ascontiguousarray(points, dtype=float)
+    _check_orientation(points, triangles, source)
+    skin = _outer(points, triangles, float(np.linalg.norm(np.ptp(points, axis=0))))
+    found = _sampled(points, triangles, skin, body.spacing, source)
+    return replace(found, thinnest=body.thinnest, measured=body.measured)
+
+
+def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source: str) -> DistanceField:
     margin = (BAND + COARSE) * spacing
     origin = points.min(axis=0) - margin
     shape = np.ceil((np.ptp(points, axis=0) + 2 * margin) / spacing / COARSE).astype(int) * COARSE + 1
     if np.prod(shape.astype(float)) > LARGEST:
         raise InputError(
             f"{source}: a resolution of {spacing:.3g} m needs {np.prod(shape.astype(float)):.1e} nodes; "
-            f"allowed: {LARGEST:.0e}, that is a resolution of about {diagonal * FINEST:.2g} m"
+            f"allowed: {LARGEST:.0e}, that is a resolution of about "
+            f"{float(np.linalg.norm(np.ptp(points, axis=0))) * FINEST:.2g} m"
         )
     samples = _samples(points, triangles, skin, origin, spacing, shape)
     coefficients = spline_filter(samples, order=3, mode="mirror")
-    body = DistanceField(
+    return DistanceField(
         points=points,
         triangles=triangles,
         origin=origin,
         spacing=spacing,
         coefficients=coefficients,
         measured=0.0,
-        thinnest=thinnest,
     )
-    return replace(body, measured=_measure(body, skin))
 
 
 def signed_distance(points: Reals, triangles: Ints, skin: Ints, p: Reals) -> Reals:

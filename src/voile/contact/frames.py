@@ -6,24 +6,26 @@ from pathlib import Path
 import igl
 import numpy as np
 
-from voile.arrays import Ints, Reals
-from voile.contact.field import DistanceField, distance_field
+from voile.arrays import Reals
+from voile.contact.field import DistanceField, another_shape
 from voile.errors import InputError
+from voile.mesh.frames import frame_before, shape_between
 
 KEPT = 3  # distance fields in memory: the two of a step, and the next
 
 
 @dataclass(frozen=True)
 class Frames:
-    """points (f, n, 3) m of triangles (m, 3) at times 0, step, 2 step, ... (s). The gap at a time between two frames is
-    the mean of theirs, by its share; a point on the body moves with the place of the mesh that is nearest to it."""
+    """points (f, n, 3) m of a mesh at times 0, step, 2 step, ... (s); first: the field of the first. The gap at a time
+    between two frames is the mean of theirs, by its share; a point on the body moves with the place of the mesh that is
+    nearest to it."""
 
     points: Reals
-    triangles: Ints
     step: float
-    resolution: float | None
+    first: DistanceField
     source: str
     _fields: dict[int, DistanceField] = field(default_factory=dict, repr=False, compare=False)
+    _trees: dict[float, tuple[Reals, igl.AABB]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def lasts(self) -> float:
@@ -32,17 +34,11 @@ class Frames:
 
     def between(self, t: float) -> tuple[int, float]:
         """The frame before a time, and the share of the way to the next one."""
-        last = len(self.points) - 1
-        k = min(max(int(t / self.step), 0), last)
-        return k, min(max(t / self.step - k, 0.0), 1.0) if k < last else 0.0
+        return frame_before(t, self.step, len(self.points))
 
     def at(self, t: float) -> Reals:
         """(n, 3) m."""
-        k, share = self.between(t)
-        found: Reals = self.points[k] + share * (
-            self.points[min(k + 1, len(self.points) - 1)] - self.points[k]
-        )
-        return found
+        return shape_between(self.points, t, self.step)
 
     def distance(self, p: Reals, t: float) -> Reals:
         """(n,) m."""
@@ -57,26 +53,35 @@ class Frames:
 
     def carry(self, p: Reals, start: float, end: float) -> Reals:
         """(n, 3) where points near the body go with it."""
-        before, after = self.at(start), self.at(end)
-        if not len(p) or np.array_equal(before, after):
+        if not len(p) or self.between(start) == self.between(end):
             return p
-        triangles = self.triangles.astype(np.int64)
-        _, near, foot = igl.point_mesh_squared_distance(np.ascontiguousarray(p), before, triangles)
-        share = _shares(foot, before[triangles[near]])
-        found: Reals = p + np.einsum("pk,pki->pi", share, (after - before)[triangles[near]])
+        before, tree = self._tree(start)
+        corners = self.first.triangles
+        _, near, foot = tree.squared_distance(before, corners, np.ascontiguousarray(p))
+        share, moved = _shares(foot, before[corners[near]]), self.at(end) - before
+        found: Reals = p + np.einsum("pk,pki->pi", share, moved[corners[near]])
         return found
+
+    def _tree(self, t: float) -> tuple[Reals, igl.AABB]:
+        """The points (n, 3) m at a time and a search tree of the triangles there: a step asks for its start's often."""
+        if t not in self._trees:
+            self._trees.clear()
+            before, tree = self.at(t), igl.AABB()
+            tree.init(before, self.first.triangles)
+            self._trees[t] = before, tree
+        return self._trees[t]
 
     def _parts(self, t: float) -> list[tuple[float, DistanceField]]:
         k, share = self.between(t)
         return [(1.0 - share, self._field(k))] + ([(share, self._field(k + 1))] if share else [])
 
     def _field(self, k: int) -> DistanceField:
+        if k == 0:
+            return self.first
         if k not in self._fields:
             if len(self._fields) >= KEPT:
                 del self._fields[min(self._fields)]
-            self._fields[k] = distance_field(
-                self.points[k], self.triangles, self.resolution, f"{self.source}, frame {k}"
-            )
+            self._fields[k] = another_shape(self.first, self.points[k], f"{self.source}, frame {k}")
         return self._fields[k]
 
 

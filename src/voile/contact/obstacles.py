@@ -356,10 +356,10 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
             if other.shape != points.shape or not np.array_equal(corners, triangles):
                 raise InputError(f"{file}: other triangles than {files[0]}; frames need the same")
         shifted = np.array([body[0] for body in bodies]) + values["translate"]
+        body = distance_field(shifted[0], triangles, values["resolution"], str(files[0]))
         if values["frames"]:
-            shape = triangles, values["frame_time"], values["resolution"], str(values["frames"])
-            common["frames"] = Frames(shifted, *shape)
-        return cls.around(shifted[0], triangles, values["resolution"], str(files[0]), **common)
+            common["frames"] = Frames(shifted, values["frame_time"], body, str(values["frames"]))
+        return cls(**vars(body), **common)
 
     @classmethod
     def around(

@@ -19,7 +19,7 @@ LARGE = 2.0  # sizes of the shape: bodies larger than this run out of the pictur
 def surfaces(result: Result, step: int) -> list[tuple[Reals, Ints]]:
     """Points (n, 3) m and triangles (m, 3) of every obstacle where it is at a step."""
     return [
-        (body.points @ place[:3, :3].T + place[:3, 3], body.triangles)
+        (body.shape(result.values[step]) @ place[:3, :3].T + place[:3, 3], body.triangles)
         for body, place in zip(result.bodies, result.placements(step), strict=True)
     ]
 

@@ -163,7 +163,24 @@ class Result:
             name, friction = (self._read(f"{OBSTACLES}/{k}/{part}") for part in ("name", "friction"))
             points = self._places(f"{OBSTACLES}/{k}/points")
             triangles = self._indices(f"{OBSTACLES}/{k}/triangles", 3, len(points))
-            yield Body(name.tobytes().decode("utf-8"), float(friction), points, triangles)
+            yield Body(
+                name.tobytes().decode("utf-8"),
+                float(friction),
+                points,
+                triangles,
+                *self._frames(k, len(points)),
+            )
+
+    def _frames(self, k: int, count: int) -> tuple[Reals | None, float]:
+        """(f, count, 3) m and the time between them (s) of an obstacle that deforms."""
+        path = f"{OBSTACLES}/{k}/frames"
+        if not self._has(path):
+            return None, 1.0
+        frames, step = self._places(path), float(self._read(f"{OBSTACLES}/{k}/frame_time", "reals", 0))
+        check_length(self.path, path, len(frames), max(1, len(frames) // count) * count)
+        if not 0.0 < step < np.inf:
+            raise InputError(f"{self.path}: damaged result file: {path} are {step:g} s apart")
+        return frames.reshape(-1, count, 3), step
 
     def placements(self, step: int = -1) -> Reals:
         """(bodies, 4, 4) matrices that take the bodies' points at load factor 0, (x, y, z, 1), to a step's."""

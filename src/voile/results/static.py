@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from voile.arrays import Array, Ints, Reals
+from voile.mesh.frames import shape_between
 from voile.results.fields import CELL_FIELDS, POINT_FIELDS, Field, find_field
 
 VTK_TRIANGLE = 5
@@ -16,12 +17,19 @@ OBSTACLES = "voile/obstacles"
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle as it is drawn: Coulomb's coefficient, surface points (n, 3) m at load factor 0, triangles (m, 3)."""
+    """An obstacle as it is drawn: Coulomb's coefficient, surface points (n, 3) m at load factor 0, triangles (m, 3);
+    frames (f, n, 3) m: points of one that deforms, at times 0, frame_time (s), ..."""
 
     name: str
     friction: float
     points: Reals
     triangles: Ints
+    frames: Reals | None = None
+    frame_time: float = 1.0
+
+    def shape(self, value: float) -> Reals:
+        """(n, 3) m before it is placed, at a step's time or load factor."""
+        return self.points if self.frames is None else shape_between(self.frames, value, self.frame_time)
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,9 @@ def static_datasets(mesh: StaticMesh) -> dict[str, Array]:
         data[f"{OBSTACLES}/{k}/friction"] = np.array(body.friction, dtype=np.float64)
         data[f"{OBSTACLES}/{k}/points"] = np.asarray(body.points, dtype=np.float64)
         data[f"{OBSTACLES}/{k}/triangles"] = np.asarray(body.triangles, dtype=np.int64)
+        if body.frames is not None:  # for pictures: single precision will do
+            data[f"{OBSTACLES}/{k}/frames"] = np.asarray(body.frames, dtype=np.float32).reshape(-1, 3)
+            data[f"{OBSTACLES}/{k}/frame_time"] = np.array(body.frame_time, dtype=np.float64)
     return data
 
 

@@ -113,8 +113,7 @@ class TimeStep:
 @dataclass
 class TimePath:
     """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False. For
-    the next step: its length (s), the largest force without loads so far (N), and the vertices (n,) that something
-    pushed."""
+    the next step: its length (s), the largest force without loads so far (N), which vertices (n,) something pushed."""
 
     state: PETSc.Vec
     kinematics: Kinematics
@@ -148,6 +147,8 @@ OnStep = Callable[[TimeStep, TimePath], None]
 def start_path(problem: Problem, velocity: Reals) -> TimePath:
     """That of a shell at its start shape with velocities (local vertices, 3) m/s."""
     y = problem.create_vector()
+    if problem.contact:  # what touches from the start on has not slipped
+        problem.contact.begin(problem.positions(y), problem.time)
     return TimePath(y, start_kinematics(problem, y, velocity), Books(problem))
 
 
