@@ -1,6 +1,14 @@
 """What campaigns start from: imports, and a result with obstacles, contact and a history."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from voile.results import Pattern
 
 STRIP = "\n".join(
     [f"v {0.04 * i} {0.05 * j} 0" for i in range(6) for j in range(2)]
@@ -51,3 +59,24 @@ def small_result(folder: Path) -> Path:
     command = [sys.executable, "-m", "voile.cli", "run", folder / "scene.toml", "-o", folder / "out"]
     subprocess.run(command, check=True, capture_output=True)
     return folder / "out"
+
+
+def small_pattern() -> Pattern:
+    """Two squares of 0.1 m, sewn along a side."""
+    from voile.mesh import Notches, Pattern, Piece, SewnSeam
+
+    square = 0.1 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    triangles, outline = np.array([[0, 1, 2], [0, 2, 3]]), np.arange(4)
+
+    def piece(name: str, at: float, side: float, inward: float) -> Piece:
+        notches = Notches(np.array([[side, 0.05]]), np.array([[inward, 0.0]]), np.array([0.01]), ("a",))
+        grain = np.array([[0.05, 0.02], [0.05, 0.08]])
+        x = square + np.array([at, 0.0])
+        cut = (x + 0.2 * (square - 0.05),)
+        return Piece(
+            name, x, triangles, np.ones((2, 2)), outline, cut, outline, grain + np.array([at, 0.0]), notches
+        )
+
+    pieces = piece("front", 0.0, 0.1, -1.0), piece("back", 0.2, 0.2, 1.0)
+    seam = SewnSeam("a", (0, 1), (np.array([1, 2]), np.array([0, 3])), (0.1, 0.1), 0.01, 0.0)
+    return Pattern(pieces, (seam,), 0.01, 0.005)

@@ -6,6 +6,8 @@ standard error it may say one line, which begins with "voile: "; within SECONDS 
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
 import resource
 import signal
@@ -195,6 +197,55 @@ def results(folder: Path, source: Path, count: int, seed: int) -> Iterator[Case]
         if k % 40 == 39:
             command = ["animate", ".", "-o", "a.gif"]
         yield f"{k}: {victim.name}, {what}", [str(place) if c == "." else c for c in command]
+
+
+def rewritten(text: str, rng: np.random.Generator) -> tuple[str, bytes]:
+    """JSON with one value, anywhere in it, replaced, left out or repeated."""
+    data = json.loads(text)
+    holder, key = data, "pieces"
+    for _ in range(int(rng.integers(1, 9))):
+        inside = holder[key]
+        if not (isinstance(inside, dict | list) and inside):
+            break
+        keys = list(inside) if isinstance(inside, dict) else list(range(len(inside)))
+        holder, key = inside, keys[int(rng.integers(len(keys)))]
+    if rng.random() < 0.3:
+        holder, key = data, list(data)[int(rng.integers(len(data)))]
+    kind = int(rng.integers(len(VALUES) + 2))
+    if kind < len(VALUES):
+        holder[key] = VALUES[kind]
+    elif kind == len(VALUES):
+        del holder[key]
+    else:
+        holder[key] = [holder[key]] * 3
+    return f"value {kind} at {key}", json.dumps(data).encode()
+
+
+VALUES = [
+    None, -1, 0, 1, 1e308, 1e-300, 9999.0, float("nan"), float("inf"), "x", "", "\x1b[2J\x00", [], {}, True, 2**70,
+    [[1, 2]],
+]  # fmt: skip
+
+
+def patterns(folder: Path, count: int, seed: int) -> Iterator[Case]:
+    """Damaged sewing patterns, drawn, laid on fabric and on sheets."""
+    from campaign_sources import small_pattern
+
+    from voile.results import write_pattern
+
+    rng, path = np.random.default_rng(seed), folder / "pattern.json"
+    commands = [
+        ["export", ".", "a.svg"], ["export", ".", "a.dxf"], ["export", ".", "a.png"], ["pattern", ".", "--pages", "a4"],
+    ]  # fmt: skip
+    for k in range(count):
+        write_pattern(folder, small_pattern())
+        text = path.read_text()
+        what, data = damaged(text.encode(), rng) if k % 4 == 0 else rewritten(text, rng)
+        path.write_bytes(data)
+        command = commands[int(rng.integers(len(commands)))]
+        if k % 20 == 19 and importlib.util.find_spec("spyrrow"):
+            command = ["pattern", ".", "--width", "0.5", "--seconds", "0.1"]
+        yield f"{k}: {what}", [str(folder) if c == "." else c for c in command]
 
 
 FORMATS = ("obj", "ply", "stl", "vtk", "vtu", "msh")

@@ -81,15 +81,52 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
             )
 
 
-def _started(scene: Path, out: Path, ranks: int, *more: str) -> subprocess.Popen[str]:
+def tears(folder: Path, count: int, seed: int) -> Iterator[Fault]:
+    """Kills runs of one rank at a byte of what they write, any; reads what they left, lets them go on, and compares."""
+    from campaign_sources import STRIP
+
+    rng, out, library = np.random.default_rng(seed), folder / "out", folder / "torn.so"
+    source = Path(__file__).with_name("torn.c")
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    (folder / "strip.obj").write_text(STRIP)
+    name = "load steps"
+    task, keys = PATHS[name]
+    scene = folder / "scene.toml"
+    scene.write_text(f'[scene]\ntask = "{task}"\n{keys.replace("60", "12")}{KILLED}')
+    torn = {"LD_PRELOAD": str(library), "TORN_IN": str(out), "TORN_TO": "1"}
+    with _started(scene, out, 1, environment=torn) as process:
+        size, code, end = int(process.communicate(timeout=IDLE)[0].split()[-1]), process.returncode, _end(out)
+    for k in range(count):
+        shutil.rmtree(out, ignore_errors=True)
+        at = int(rng.integers(1, size))
+        what, command = f"{k}: killed at byte {at} of {size}", f"run {scene.name}"
+        with _started(scene, out, 1, environment=torn | {"TORN_AT": str(at)}) as process:
+            said = process.communicate(timeout=IDLE)[1]
+        if process.returncode != -signal.SIGKILL:
+            yield Fault(what, command, f"not killed: exit code {process.returncode}: {said[-400:]}")
+        if (out / "result.vtkhdf").exists():
+            fault = judged(what, ["info", str(out)])
+            if fault:
+                yield fault
+        again, said = _ran(scene, out, 1, *(["--resume"] if (out / ".voile-run").exists() else []))
+        if again != code or "Traceback" in said:
+            yield Fault(what, f"{command} --resume", f"exit code {again}, a whole run {code}: {said[-400:]}")
+        elif np.abs(_end(out) - end).max() > NEAR:
+            yield Fault(what, command, f"ends {np.abs(_end(out) - end).max():.1e} m off a whole run")
+
+
+def _started(
+    scene: Path, out: Path, ranks: int, *more: str, environment: dict[str, str] | None = None
+) -> subprocess.Popen[str]:
     """A run in a group of processes of its own."""
     launch = ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n", str(ranks)] if ranks > 1 else []
     return subprocess.Popen(
         [*launch, sys.executable, "-c", OFTEN, "run", str(scene), "-o", str(out), *more],
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE if environment else subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        env=os.environ | (environment or {}),
     )
 
 

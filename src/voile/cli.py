@@ -9,7 +9,7 @@ from typing import Any
 from voile.blas import check_memory
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged, printable
-from voile.launch import without_launcher
+from voile.launch import launched, without_launcher
 
 INTERRUPTED = 130  # as shells say it of Ctrl-C
 # modules that a plain install lacks -> the extra of pyproject.toml that brings them
@@ -28,11 +28,11 @@ def main(argv: list[str] | None = None) -> int:
     """Runs a command; returns 0 done, 2 bad input, 3 not converged or stopped, 130 stopped where there was nothing to
     keep, 1 anything else."""
     without_launcher()
-    argv = list(sys.argv[1:] if argv is None else argv)
+    argv, debug = list(sys.argv[1:] if argv is None else argv), False
     split = argv.index("--") if "--" in argv else len(argv)
-    args = _parser().parse_args(argv[:split])
-    args.petsc = argv[split + 1 :]
     try:
+        args = _parser().parse_args(argv[:split])
+        args.petsc, debug = argv[split + 1 :], args.debug
         check_memory()
         code = args.command(args) or 0
         sys.stdout.flush()
@@ -49,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        if args.debug:
+        if debug:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
             return _ended(f"needs {error.name}: pip install 'voile[{EXTRAS[error.name]}]'", 1)
@@ -63,6 +63,11 @@ def _ended(why: str, code: int) -> int:
     print(f"voile: {printable(why)}", file=sys.stderr, flush=True)
     if _ranks() > 1:
         sys.modules["mpi4py.MPI"].COMM_WORLD.Abort(code)
+    if (
+        launched() and "petsc4py" in sys.modules
+    ):  # MPI may be half begun, and would wait at its end for other ranks
+        sys.stdout.flush()
+        os._exit(code)
     return code
 
 

@@ -18,13 +18,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Solves the problem, prints figures, writes the solution. Raises NotConverged."""
     from voile.contact.law import contact_states
-    from voile.results.friction import prepare_solution, read_problem, write_solution
+    from voile.files import prove
+    from voile.results.friction import read_problem, write_solution
     from voile.solver.friction import FrictionNotConverged, solve_friction
 
     problem = read_problem(args.problem)
     W, q, mu = problem
     if args.output:
-        prepare_solution(args.output)
+        prove(args.output)
     failure = None
     began = time.perf_counter()
     try:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from voile.errors import InputError
+from voile.files import replace
 
 if TYPE_CHECKING:
     from voile.mesh import RawMesh
@@ -60,10 +61,7 @@ def run(args: argparse.Namespace) -> None:
         **told,
     }
     beside = out.with_suffix(".json")
-    try:
-        beside.write_text(json.dumps(report, indent=1), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{beside}: cannot be written: {error.strerror}") from error
+    replace(beside, json.dumps(report, indent=1).encode())
     read, written = report["read"], report["written"]
     print(
         f"{out}: {written['vertices']} vertices, {written['triangles']} triangles "

@@ -25,6 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the files, prints their names and what the layout takes."""
+    from voile.files import made
     from voile.post.export import PATTERNS
     from voile.post.nesting import efficiency, nested
     from voile.post.pattern_pages import write_pages
@@ -36,12 +37,8 @@ def run(args: argparse.Namespace) -> None:
     out = args.output or folder(args.file)
     if args.width is not None:
         pattern = nested(pattern, args.width, args.gap, args.turn, args.seconds)
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written: {error.strerror}") from error
         for ending in FILES:
-            PATTERNS[ending](out / f"layout{ending}", pattern)
+            PATTERNS[ending](made(out) / f"layout{ending}", pattern)
             print(out / f"layout{ending}")
         used, sizes = 100 * efficiency(pattern), pattern.fabric or ()
         fabric = " x ".join(f"{size:.3f}" for size in sizes)

@@ -45,20 +45,16 @@ def run(args: argparse.Namespace) -> None:
 def _perform(chosen: Sequence[Protocol], args: argparse.Namespace) -> None:
     from mpi4py import MPI
 
+    from voile.files import made, prove
     from voile.results.summary import write_summary
     from voile.tasks.run import versions
     from voile.validate import Bench, perform, report
 
     if MPI.COMM_WORLD.size > 1:
         raise InputError(f"validate: {MPI.COMM_WORLD.size} ranks; allowed: one process")
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{args.output}: {error.strerror}; allowed: a folder for plots, scenes and results"
-        ) from None
-    if args.json and (args.json.is_dir() or not args.json.parent.is_dir()):
-        raise InputError(f"{args.json}: cannot be written; allowed: a file in a folder that exists")
+    made(args.output)
+    if args.json:
+        prove(args.json)
     verdicts = []
     print(report.heading())
     for protocol in chosen:

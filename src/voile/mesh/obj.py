@@ -4,7 +4,6 @@ Faces count vertices from 1, as OBJ does; stitches count them from 0, as in the 
 (Codimensional IPC's garments: only so do the stitched vertices lie on borders and meet when draped).
 """
 
-import os
 import re
 import warnings
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import numpy as np
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
+from voile.files import replace
 from voile.mesh.raw import RawMesh, fan
 from voile.mesh.stitches import Stitches
 
@@ -226,7 +226,6 @@ def write_obj(
     triangles; groups: (m,) index and the names; stitches in the numbering of `points`.
     Raises InputError if the file cannot be written.
     """
-    path = Path(path)
     texture_triangles = triangles if texture_triangles is None else texture_triangles
     parts = [f"# {line}" for line in comment.splitlines()]
     parts += [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(points, dtype=float).tolist()]
@@ -249,11 +248,4 @@ def write_obj(
             strict=True,
         )
         parts += [f"stitch {i} {j} {k} {w!r}" for i, j, k, w in rows]
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.unlink(missing_ok=True)  # a link is not followed
-        with open(partial, "x", encoding="utf-8") as file:
-            file.write("\n".join(parts) + "\n")
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    replace(path, ("\n".join(parts) + "\n").encode())

@@ -13,6 +13,7 @@ import numpy as np
 
 from voile.arrays import Ints, Reals
 from voile.errors import InputError
+from voile.files import replace
 from voile.post.contact import surfaces
 from voile.post.pattern_dxf import write_dxf
 from voile.post.pattern_picture import draw_pattern
@@ -50,16 +51,13 @@ def export(path: str | os.PathLike[str], out: str | os.PathLike[str], step: int 
             raise InputError(
                 f"{result.path}: no step {step}; allowed: 0 to {result.n_steps - 1}, or -1 for the last"
             )
-        try:
-            writers: dict[str, Callable[[Result, Path, int], None]] = {
-                ".obj": Result.write_obj,
-                ".ply": write_ply,
-                ".vtu": write_vtu,
-                ".glb": write_glb,
-            }
-            writers[kind](result, out, step)
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+        writers: dict[str, Callable[[Result, Path, int], None]] = {
+            ".obj": Result.write_obj,
+            ".ply": write_ply,
+            ".vtu": write_vtu,
+            ".glb": write_glb,
+        }
+        writers[kind](result, out, step)
     return out
 
 
@@ -73,7 +71,7 @@ def write_ply(result: Result, out: Path, step: int) -> None:
     )
     faces = np.empty(len(triangles), dtype=[("n", "u1"), ("v", "<i4", 3)])
     faces["n"], faces["v"] = 3, triangles
-    out.write_bytes(head.encode("ascii") + points.astype("<f8").tobytes() + faces.tobytes())
+    replace(out, head.encode("ascii") + points.astype("<f8").tobytes() + faces.tobytes())
 
 
 def write_vtu(result: Result, out: Path, step: int) -> None:
@@ -82,9 +80,19 @@ def write_vtu(result: Result, out: Path, step: int) -> None:
     if result.bodies:
         grids[out.with_stem(f"{out.stem}-obstacles")] = _obstacles(result, step)
     for path, content in grids.items():
-        with open(path, "wb"):
-            pass  # VTK only prints that it cannot write; this raises
-        content.save(path, binary=True)
+        replace(path, _vtu(content))
+
+
+def _vtu(grid: pyvista.UnstructuredGrid) -> bytes:
+    """Made in memory: VTK only prints that it cannot write."""
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return bytes(writer.GetOutputString(), "ascii")
 
 
 def _obstacles(result: Result, step: int) -> pyvista.UnstructuredGrid:
@@ -153,7 +161,7 @@ def write_glb(result: Result, out: Path, step: int) -> None:
         ],
         "buffers": [{"byteLength": starts[-1]}],
     }
-    out.write_bytes(_glb(document, b"".join(parts)))
+    replace(out, _glb(document, b"".join(parts)))
 
 
 def _primitive(k: int) -> dict[str, Any]:

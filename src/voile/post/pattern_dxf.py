@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voile.arrays import Reals
-from voile.errors import InputError
+from voile.files import replace
 from voile.post.pattern_svg import fabric_corners, name_height, seam_labels, slope
 from voile.results import Pattern, Piece
 
@@ -47,10 +47,7 @@ def write_dxf(path: str | Path, pattern: Pattern) -> None:
     _write(space, [0.0, -3 * LETTER], "Units: METRIC")
     text = io.StringIO()
     document.write(text)
-    try:
-        Path(path).write_text(text.getvalue(), encoding="cp1252", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    replace(path, text.getvalue().encode("cp1252", errors="replace"))
 
 
 def _block_names(names: list[str]) -> list[str]:

@@ -7,7 +7,7 @@ sheet has a square of 10 cm to check the print with, and a map of the others.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
@@ -15,6 +15,7 @@ import shapely
 
 from voile.arrays import Reals
 from voile.errors import InputError
+from voile.files import made, replace, replacing
 from voile.post.pattern_svg import LAYERS, arrows, mark_length, name_height, notch_lines, seam_labels, slope
 from voile.results import Pattern
 
@@ -24,6 +25,7 @@ OVERLAP = 15.0  # mm of two sheets, to glue
 SQUARE = 100.0  # mm
 CROSS = 4.0  # mm, arm of a registration mark
 LETTER = 4.0  # mm
+MOST = 1000  # sheets: a pattern that needs more is a mistake in its unit
 WIDTHS = {"cut": 0.5, "sew": 0.3, "mark": 0.2}  # mm
 INK = "#1b1f24"
 
@@ -64,15 +66,12 @@ def write_pages(folder: str | Path, pattern: Pattern, paper: str = "a4") -> list
         raise InputError(f"--pages {paper}; allowed: {', '.join(PAPERS)}")
     folder, size = Path(folder), np.array(PAPERS[paper])
     sheets = sheets_of(pattern, size)
-    written = [folder / "pages.pdf"]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_pdf(written[0], sheets, size)
-        for sheet in sheets:
-            written.append(folder / f"page-{sheet.name}.svg")
-            written[-1].write_text(_svg(sheet, size), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+    written = [made(folder) / "pages.pdf"]
+    with replacing(written[0]) as file:
+        _write_pdf(file, sheets, size)
+    for sheet in sheets:
+        written.append(folder / f"page-{sheet.name}.svg")
+        replace(written[-1], _svg(sheet, size).encode())
     return written
 
 
@@ -84,6 +83,10 @@ def sheets_of(pattern: Pattern, size: Reals) -> list[Sheet]:
     lines, labels = _drawing(pattern, np.array([low[0], high[1]]))
     room, step = size - 2 * MARGIN, size - 2 * MARGIN - OVERLAP
     count = np.maximum(1, np.ceil((high - low - OVERLAP) / step).astype(int))
+    if count.prod() > MOST:
+        raise InputError(
+            f"--pages: {count.prod()} sheets; allowed: up to {MOST}, so larger paper or a smaller pattern"
+        )
     shapes = [shapely.LineString(line.points) for line in lines]
     tree = shapely.STRtree(shapes)
     sheets = []
@@ -227,12 +230,12 @@ def _svg(sheet: Sheet, size: Reals) -> str:
     return "\n".join([*parts, "</svg>\n"])
 
 
-def _write_pdf(path: Path, sheets: list[Sheet], size: Reals) -> None:
+def _write_pdf(file: IO[bytes], sheets: list[Sheet], size: Reals) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
 
     point = 72 / 25.4
-    with PdfPages(path) as pdf:
+    with PdfPages(file) as pdf:
         for sheet in sheets:
             figure = Figure(figsize=tuple(size / 25.4))
             axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))

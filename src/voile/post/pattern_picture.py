@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from voile.arrays import Reals
-from voile.errors import InputError
+from voile.files import replacing
 from voile.post.pattern_svg import (
     CLOTH,
     arrows,
@@ -71,10 +71,8 @@ def draw_pattern(path: str | Path, pattern: Pattern, width: float = 12.0) -> Non
         figure.colorbar(
             colours, label="distortion [%]", shrink=0.6, pad=0.01, fraction=0.08, aspect=25, extend="max"
         )
-    try:
-        figure.savefig(path, dpi=160)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing(path) as file:
+        figure.savefig(file, dpi=160, format="png")
 
 
 def _draw_piece(axes: Any, piece: Piece, share: Reals, limit: float, letter: float) -> Any:

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
 
 from voile.arrays import Reals
-from voile.errors import InputError
+from voile.files import replace
 from voile.results import Pattern, Piece, SewnSeam
 
 MARGIN = 20.0  # mm
@@ -30,8 +29,13 @@ LAYERS = {
 }
 
 
-def write_svg(path: str | Path | BinaryIO, pattern: Pattern) -> None:
-    """Write the pattern to a file, named or open; InputError if it cannot be written.
+def write_svg(path: str | Path, pattern: Pattern) -> None:
+    """Write the pattern to a file, as `svg` has it. Raises InputError if it cannot be written."""
+    replace(path, svg(pattern))
+
+
+def svg(pattern: Pattern) -> bytes:
+    """The pattern as an SVG document.
 
     One user unit is a millimetre; the groups `cut`, `notch`, `grain`, `internal` (turn points), `sew` and `text` hold
     an element for each piece, `cut-NAME` and so on.
@@ -53,10 +57,8 @@ def write_svg(path: str | Path | BinaryIO, pattern: Pattern) -> None:
     page.bar(height)
     if pattern.fabric:
         page.path("text", "fabric", [fabric_corners(pattern)], closed=True, **FABRIC)
-    try:
-        ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text
 
 
 def _keys(pattern: Pattern) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from voile.arrays import Reals
 from voile.errors import InputError
+from voile.files import replacing
 from voile.post.camera import parse_scene
 from voile.post.render import INK, LINE
 from voile.post.series import SINCE_THE_START, Recorded, Series
@@ -52,10 +53,8 @@ def _draw(out: Path, panels: list[list[Series]], titles: list[str], along: str, 
     picture = figure(panels, titles, along)
     if name:
         picture.suptitle(name, x=0.02, ha="left", color=INK, parse_math=False)
-    try:
-        picture.savefig(out, dpi=150)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    with replacing(out) as file:
+        picture.savefig(file, dpi=150, format="png")
 
 
 def figure(panels: list[list[Series]], titles: list[str], along: str) -> Figure:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from PIL import Image
 
 from voile.arrays import Ints
 from voile.errors import InputError
+from voile.files import replacing
 
 Draw = Callable[[int], Ints]  # (height, width, 3) uint8 of a frame
 Tell = Callable[[int, int], None] | None  # told how many frames are drawn of how many
@@ -39,16 +40,8 @@ def write_film(
 
     Raises InputError where it cannot be written, before anything is drawn.
     """
-    part = out.with_name(f".{out.stem}.part{out.suffix}")
-    try:
-        part.unlink(missing_ok=True)  # a link is not followed
-        part.touch(exist_ok=False)
-        _WRITERS[out.suffix.lower()](part, _told(draw, count, on_frame), count, fps, size)
-        os.replace(part, out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(out) as file:
+        _WRITERS[out.suffix.lower()](file, _told(draw, count, on_frame), count, fps, size)
 
 
 def _told(draw: Draw, count: int, on_frame: Tell) -> Draw:
@@ -64,14 +57,14 @@ def _told(draw: Draw, count: int, on_frame: Tell) -> Draw:
     return drawn
 
 
-def _write_mp4(path: Path, draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
+def _write_mp4(file: IO[bytes], draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
     """H.264 with one colour for four pixels, which every player shows."""
     import av
 
     if size[0] % 2 or size[1] % 2:
         raise InputError(f"{size[0]} x {size[1]} pixels: films as mp4 have even numbers of them")
     # the index first: a browser shows it while it loads
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as film:
+    with av.open(file.name, "w", format="mp4", options={"movflags": "faststart"}) as film:
         stream = film.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000), options={"crf": CRF})
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"
@@ -80,7 +73,7 @@ def _write_mp4(path: Path, draw: Draw, count: int, fps: float, size: tuple[int, 
         film.mux(stream.encode())
 
 
-def _write_gif(path: Path, draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
+def _write_gif(file: IO[bytes], draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
     """One palette, of the first, middle and last frame, so that still parts do not flicker."""
     some = np.concatenate([draw(k) for k in sorted({0, count // 2, count - 1})])
     palette = Image.fromarray(some).quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -88,13 +81,15 @@ def _write_gif(path: Path, draw: Draw, count: int, fps: float, size: tuple[int, 
     reel = _Reel(
         lambda k: Image.fromarray(draw(k)).quantize(palette=palette, dither=Image.Dither.NONE), count
     )
-    reel.save(path, save_all=True, duration=(10 * np.diff(ends)).astype(int).tolist(), loop=0)
+    reel.save(file, "gif", save_all=True, duration=(10 * np.diff(ends)).astype(int).tolist(), loop=0)
 
 
-def _write_webp(path: Path, draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
+def _write_webp(file: IO[bytes], draw: Draw, count: int, fps: float, size: tuple[int, int]) -> None:
     ends = np.round(1000 * np.arange(count + 1) / fps)
     reel = _Reel(lambda k: Image.fromarray(draw(k)), count)
-    reel.save(path, save_all=True, duration=np.diff(ends).astype(int).tolist(), loop=0, quality=WEBP_QUALITY)
+    reel.save(
+        file, "webp", save_all=True, duration=np.diff(ends).astype(int).tolist(), loop=0, quality=WEBP_QUALITY
+    )
 
 
 _WRITERS = {".mp4": _write_mp4, ".gif": _write_gif, ".webp": _write_webp}

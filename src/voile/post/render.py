@@ -11,6 +11,7 @@ import numpy as np
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
+from voile.files import replacing
 from voile.post import contact, swing
 from voile.post.camera import Camera, look, parse_scene, upright
 from voile.post.quantities import (
@@ -40,11 +41,8 @@ def render(result: str | os.PathLike[str] | Result, out_png: str | os.PathLike[s
     out = Path(out_png)
     if out.suffix.lower() != ".png":
         raise InputError(f"{out}: pictures are written as .png")
-    drawn = picture(result, **how)
-    try:
-        drawn.save(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    with replacing(out) as file:
+        picture(result, **how).save(file, "png")
     return out
 
 

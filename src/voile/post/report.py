@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from voile.errors import InputError
+from voile.files import replace
 from voile.post.render import check_field
 from voile.post.report_page import Page
 from voile.post.report_shapes import shown
@@ -54,8 +55,5 @@ def report(
         shapes = shown(result, room)
         text = page.text(shapes, field).encode()
         steps, vertices = (len(shapes.steps), result.n_steps), (len(shapes.part.vertices), result.n_points)
-    try:
-        out.write_bytes(text)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+    replace(out, text)
     return Report(out, len(text), steps, vertices)

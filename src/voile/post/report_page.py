@@ -14,7 +14,7 @@ from importlib import resources
 from voile.arrays import Reals
 from voile.post.camera import parse_scene
 from voile.post.info import rows
-from voile.post.pattern_svg import write_svg
+from voile.post.pattern_svg import svg
 from voile.post.plot import figure
 from voile.post.report_arrays import LEVELS
 from voile.post.report_shapes import Shown
@@ -103,11 +103,10 @@ class Page:
         if self.plots:
             yield f'<section><h2>Plots</h2><div id="plots">{self.plots}<div id="cursor"></div></div></section>'
         if (self.result.path.parent / PATTERN).is_file():
-            drawn = io.BytesIO()
-            write_svg(drawn, read_pattern(self.result.path))
+            drawn = _inline(svg(read_pattern(self.result.path)))
             yield (
                 f'<section><h2>Pattern</h2><p><button id="save-pattern" type="button">Save as SVG</button> '
-                f'<span class="quiet">true scale, millimetres</span></p><div id="pattern">{_svg(drawn)}</div></section>'
+                f'<span class="quiet">true scale, millimetres</span></p><div id="pattern">{drawn}</div></section>'
             )
         if self.summary:
             lines = "".join(
@@ -139,7 +138,7 @@ class Page:
             picture.savefig(text, format="svg", metadata={"Date": None})
         axes = picture.axes[0]
         place, (low, high) = axes.get_position(), axes.get_xlim()
-        return _svg(text), (place.x0, place.width, low, high)
+        return _inline(text.getvalue()), (place.x0, place.width, low, high)
 
     def _cursor(self, values: Reals) -> list[float]:
         """Where each step is on the plots' axis, as shares of the picture's width."""
@@ -172,9 +171,9 @@ def _notes(notes: list[str]) -> str:
     return f"<section><h2>Notes</h2><ul>{items}</ul></section>"
 
 
-def _svg(written: io.BytesIO) -> str:
+def _inline(written: bytes) -> str:
     """A picture as part of a page: without what XML files begin with."""
-    return NOT_HTML.sub("", written.getvalue().decode("utf-8")).strip()
+    return NOT_HTML.sub("", written.decode("utf-8")).strip()
 
 
 def _hash(script: str) -> str:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from voile.errors import InputError
+from voile.files import replacing
 
 INK, LINE = "#1b1f24", "#1f5fa8"
 
@@ -37,10 +37,8 @@ def draw_trade(path: str | Path, trade: list[dict[str, float | None]], width: fl
     )  # fmt: skip
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(0.12)
-    try:
-        figure.savefig(path, dpi=160)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with replacing(path) as file:
+        figure.savefig(file, dpi=160, format="png")
 
 
 def _percent(sag: float) -> str:

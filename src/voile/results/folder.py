@@ -9,16 +9,14 @@ from __future__ import annotations
 import errno
 import fcntl
 import json
-import mmap
 import os
-import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from voile.errors import InputError, NotWritten, on_root
+from voile.errors import InputError, on_root
+from voile.files import NO_ROOM, Unwritable, fresh, lockable, part_of, reserve
 from voile.results.checks import dataset, intact, open_file
 
 if TYPE_CHECKING:
@@ -32,7 +30,6 @@ FILES = (
     "developability.png",
 )  # fmt: skip
 SPARE = 1 << 16  # bytes kept for the summary: a hundred times a short one
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # of file systems without
 
 
@@ -86,7 +83,7 @@ def held_output(
     finally:
         if record:
             record.close()
-            (directory / f".{SUMMARY}.part").unlink(missing_ok=True)
+            part_of(directory / SUMMARY).unlink(missing_ok=True)
 
 
 def set_aside(result: Path) -> None:
@@ -101,78 +98,16 @@ def set_aside(result: Path) -> None:
             previous.unlink(missing_ok=True)  # of a run before
 
 
-def fresh(path: Path) -> IO[bytes]:
-    """A new file in place of what is there, for writing. A link that is there is removed, never followed."""
-    path.unlink(missing_ok=True)
-    return open(path, "xb")
-
-
-def replace(path: Path, data: bytes | mmap.mmap) -> None:
-    """Puts data into a file, all or nothing. The room that `held_output` kept for a summary is used."""
-    part = path.with_name(f".{path.name}.part")
-    with _own(part) or fresh(part) as file:
-        file.write(data)
-        file.truncate()
-    os.replace(part, path)
-
-
-@contextmanager
-def told(path: Path, kept: str = "") -> Iterator[None]:
-    """What cannot be written within ends with NotWritten. HDF5's errors hold the system's words in theirs."""
-    try:
-        yield
-    except OSError as error:
-        found = re.search(r"error message = '(.*?)'", str(error))
-        why = found[1] if found else error.strerror or str(error)
-        raise NotWritten(f"{path}: cannot be written: {why}{kept}") from None
-
-
 def out_of_room(error: Exception) -> str:
-    """What to say where an error is, or comes from, a full disk; empty for others."""
-    cause = error if isinstance(error, OSError) else error.__cause__
-    full = isinstance(cause, OSError) and cause.errno in NO_ROOM
+    """What to say of a file that cannot be written or a full disk; empty for other errors."""
+    full = isinstance(error, Unwritable) or (isinstance(error, OSError) and error.errno in NO_ROOM)
     return f"results cannot be written: {error}" if full else ""
-
-
-def _own(part: Path) -> IO[bytes] | None:
-    """A file that is there, which no one else holds by a link: to be written from its beginning."""
-    try:
-        file = os.fdopen(os.open(part, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "wb")
-    except OSError:
-        return None
-    about = os.fstat(file.fileno())
-    if stat.S_ISREG(about.st_mode) and about.st_nlink == 1:
-        return file
-    file.close()
-    return None
-
-
-def reserve(path: Path, size: int) -> None:
-    """A new file of a size (bytes) whose room is taken from the disk. Raises OSError where there is none."""
-    with fresh(path) as file:
-        try:
-            take(file, 0, size)
-        except OSError:
-            path.unlink()
-            raise
-
-
-def take(file: IO[bytes], begin: int, size: int) -> None:
-    """Takes room for bytes of a file from the disk, whose contents stay. Raises OSError where there is none."""
-    try:
-        os.posix_fallocate(file.fileno(), begin, size)
-    except OSError as error:
-        if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # file systems that cannot tell
-            raise
 
 
 def _locked(directory: Path) -> IO[bytes]:
     """The record of a folder, locked."""
     path = directory / RECORD
-    try:
-        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be opened ({error.strerror}); a file of a run expected") from None
+    file = lockable(path)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -218,7 +153,7 @@ def _claim(directory: Path, record: IO[bytes], scene: Path, text: str, force: bo
     record.truncate()
     record.flush()
     try:
-        reserve(directory / f".{SUMMARY}.part", SPARE)
+        reserve(part_of(directory / SUMMARY), SPARE)
     except OSError as error:
         raise InputError(
             f"{directory}: cannot write results there ({error.strerror}); a writable directory expected"

@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
+from voile.files import replace
 from voile.results.checks import member, open_file
 
 
@@ -33,23 +34,25 @@ def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
         raise InputError(f"{path}: no such file")
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: not an HDF5 file")
-    with open_file(path) as file:
-        try:
-            if "fclib_local" in file:
-                return _read_fclib(file["fclib_local"])
+    try:
+        with open_file(path) as file:
+            local = member(path, file, "fclib_local")
+            if local is not None:
+                return _read_fclib(local)
             if "fclib_global" in file:
                 raise InputError("fclib_global (bodies and contacts) is not read; only the local form is")
             return _read_rows(file)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-        except (TypeError, ValueError, IndexError, OSError) as error:
-            raise InputError(f"{path}: malformed problem: {error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except Exception as error:  # h5py and scipy raise anything at a damaged file
+        raise InputError(f"{path}: malformed problem: {' '.join(str(error).split())}") from error
 
 
 def _read_rows(file: h5py.File) -> FrictionProblem:
     rows, columns = (int(size) for size in _values(file, "W/shape", 2))
+    q = _motion(file, "q", rows, columns)
     W = _compressed(sp.csr_matrix, file, "W/indptr", "W/indices", "W/data", (rows, columns))
-    return FrictionProblem(W, _values(file, "q", rows), _values(file, "mu"))
+    return FrictionProblem(W, q, _values(file, "mu"))
 
 
 def _read_fclib(group: h5py.Group) -> FrictionProblem:
@@ -59,6 +62,7 @@ def _read_fclib(group: h5py.Group) -> FrictionProblem:
     if "V" in group or "R" in group:
         raise InputError("fclib_local has equality constraints (V, R, s); only problems without are solved")
     rows, columns, kind = (int(_values(group, f"W/{name}", 1)[0]) for name in ("m", "n", "nz"))
+    q = _motion(group, "vectors/q", rows, columns)
     if kind >= 0:
         places, values = (
             (_values(group, "W/p", kind), _values(group, "W/i", kind)),
@@ -70,7 +74,14 @@ def _read_fclib(group: h5py.Group) -> FrictionProblem:
         W = _compressed(form, group, "W/p", "W/i", "W/x", (rows, columns)).tocsr()
     else:
         raise InputError(f"fclib_local/W/nz is {kind}; it must be -2, -1 or a number of triplets")
-    return FrictionProblem(W, _values(group, "vectors/q", rows), _values(group, "vectors/mu"))
+    return FrictionProblem(W, q, _values(group, "vectors/mu"))
+
+
+def _motion(group: h5py.Group, name: str, rows: int, columns: int) -> Array:
+    """q, of as many entries as W has rows and columns: so these are as many as the file can hold."""
+    if rows != columns:
+        raise InputError(f"W is {rows} x {columns}; as many rows as columns are needed")
+    return _values(group, name, rows)
 
 
 def _values(group: h5py.Group, name: str, size: int | None = None) -> Array:
@@ -97,16 +108,6 @@ def _compressed(
     return matrix
 
 
-def prepare_solution(path: Path) -> None:
-    """InputError if no file can be written there."""
-    if (
-        not path.parent.is_dir()
-        or path.is_dir()
-        or not os.access(path if path.exists() else path.parent, os.W_OK)
-    ):
-        raise InputError(f"{path}: cannot be written; the folder must exist and be writable")
-
-
 def write_solution(
     path: Path,
     source: Path,
@@ -118,8 +119,11 @@ def write_solution(
     converged: bool,
 ) -> None:
     """Group `solution` as FCLIB names it (r, u), with mu, state (0 open, 1 stick, 2 slip) and the error's history; the
-    problem's file, the error and the numbers of `info` as its attributes."""
-    with h5py.File(path, "w") as file:
+    problem's file, the error and the numbers of `info` as its attributes. Raises InputError where it cannot be
+    written."""
+    with h5py.File(
+        path.name, "w", driver="core", backing_store=False
+    ) as file:  # HDF5 does not survive a full disk
         group = file.create_group("solution")
         group["r"], group["u"] = r, problem.W @ r + problem.q
         group["mu"], group["state"], group["history"] = problem.mu, states, info.history
@@ -127,3 +131,6 @@ def write_solution(
         group.attrs["converged"] = converged
         for name in ("error", "iterations", "factorisations", "proximal_steps", "method"):
             group.attrs[name] = getattr(info, name)
+        file.flush()
+        image = file.id.get_file_image()
+    replace(path, image)

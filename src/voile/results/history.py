@@ -17,8 +17,8 @@ import numpy as np
 
 from voile.arrays import Array, Reals
 from voile.errors import InputError, on_root
+from voile.files import replace
 from voile.results.checks import check_length, dataset, intact, member, open_file
-from voile.results.folder import replace, told
 from voile.results.writer import import_h5py
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class HistoryWriter:
                 for name, values in self._columns.items():
                     group[name] = values.rows
             memory.flush()
-            with told(self.path), mmap.mmap(memory.fileno(), 0, access=mmap.ACCESS_READ) as image:
+            with mmap.mmap(memory.fileno(), 0, access=mmap.ACCESS_READ) as image:
                 replace(self.path, image)
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from voile.arrays import Array
 from voile.errors import InputError, on_all, on_root
-from voile.results.folder import RECORD, fresh, replace, told
+from voile.files import fresh, made, replace, told
+from voile.results.folder import RECORD
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -56,14 +57,13 @@ class Restarts:
                 file.write(packed.getbuffer())
 
         def commit() -> None:
-            with told(inside):
-                replace(inside / "last", f"{step} {self.comm.size} {FORMAT}\n".encode())
+            replace(inside / "last", f"{step} {self.comm.size} {FORMAT}\n".encode())
             for old in inside.glob("*.npz"):
                 if not old.name.startswith(f"{step}-"):
                     old.unlink()
 
         if self.lasting and step > self.step:  # a set is never written over: a kill would leave none
-            on_root(self.comm, lambda: inside.mkdir(exist_ok=True))
+            on_root(self.comm, lambda: made(inside))
             on_all(self.comm, write)
             on_root(self.comm, commit)
             self.step = step

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from voile.errors import InputError
-from voile.results.folder import replace
+from voile.files import replace
 
 
 def write_summary(path: str | os.PathLike[str], summary: dict[str, Any]) -> None:

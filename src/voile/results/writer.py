@@ -31,6 +31,7 @@ import numpy as np
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError, NotWritten, on_all, on_root
+from voile.files import part_of, reserve, take, told
 from voile.results.checks import intact
 from voile.results.fields import (
     CELL_FIELDS,
@@ -41,7 +42,7 @@ from voile.results.fields import (
     Field,
     find_field,
 )
-from voile.results.folder import reserve, set_aside, take, told
+from voile.results.folder import set_aside
 from voile.results.slabs import Slabs
 from voile.results.static import OBSTACLES, StaticMesh, known, static_datasets
 
@@ -220,7 +221,7 @@ class ResultWriter:
 
     @property
     def _part(self) -> Path:
-        return self.path.with_name(f".{self.path.name}.part")
+        return part_of(self.path)
 
     def _reopen(self, path: Path) -> None:
         self.comm.barrier()

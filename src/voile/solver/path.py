@@ -10,6 +10,7 @@ from voile.arrays import Array
 from voile.errors import NotConverged
 from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
+from voile.problem.state import State
 from voile.solver.linear import Counts
 
 STEPS = 10  # of the load, where supports or moving obstacles lead the shell
@@ -66,7 +67,8 @@ class Jump:
 
 @dataclass
 class Path:
-    """The outcome: `state` is the last converged one (unknowns), also when `converged` is False."""
+    """The outcome: `state` is the last converged one (unknowns), also when `converged` is False. blurred: where
+    the next step ended and its state, if only round-off may have kept it from the tolerance."""
 
     state: PETSc.Vec
     converged: bool = False
@@ -78,6 +80,7 @@ class Path:
     stable: bool | None = None
     smallest_eigenvalue: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    blurred: tuple[LoadStep, State] | None = None
 
     @property
     def last(self) -> LoadStep | None:

@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from voile.errors import InputError
+from voile.files import fresh, lockable, made, replace
 from voile.results import read_summary
-from voile.results.folder import replace
 from voile.study.measures import Measure, values
 from voile.study.plan import Plan, Run
 from voile.study.settings import overrides
@@ -59,13 +59,7 @@ class Runs:
 
     def __init__(self, plan: Plan, out: Path):
         self.plan, self.out = plan, out
-        try:
-            (out / "runs").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            why = error.strerror or str(error)
-            raise InputError(
-                f"{out}: cannot write a study there ({why}); a writable folder expected"
-            ) from None
+        made(out / "runs")
         self.children: set[subprocess.Popen[bytes]] = set()
         self.stopping = False
 
@@ -129,7 +123,7 @@ class Runs:
     def _run(self, run: Run, lock: int) -> Record:
         folder, spec = self.folder(run), self.plan.study.study
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
+        made(folder, new=True)
         found = self._once(run, lock)
         times = [(found.seconds or 0.0, found.cpu_seconds or 0.0)]
         while found.status == CONVERGED and times[0][0] < SHORT and len(times) < spec.repeats:
@@ -146,7 +140,7 @@ class Runs:
             raise InputError(STOPPED)
         folder, limit = self.folder(run), self.plan.study.study.max_seconds
         began = time.perf_counter()
-        with open(folder / "log.txt", "wb") as log:
+        with fresh(folder / "log.txt") as log:
             child = subprocess.Popen(
                 command(self.plan, run, folder),
                 stdout=log,
@@ -202,7 +196,7 @@ class Runs:
     @contextmanager
     def _lock(self, run: Run) -> Iterator[int]:
         """Only one process at a time runs a run; the system ends a lock with those who hold it."""
-        with open(self.out / "runs" / f"{run.folder}.lock", "a") as file:
+        with lockable(self.out / "runs" / f"{run.folder}.lock") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield file.fileno()
 

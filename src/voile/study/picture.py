@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from voile.errors import InputError
+from voile.files import replacing
 from voile.study.analysis import Findings, Row
 from voile.study.series import ENDS, SIZED
 from voile.study.settings import COST, changes
@@ -37,9 +37,8 @@ def draw(findings: Findings, path: Path) -> None:
             )
         _draw_front(axes, findings)
         _dress(axes, findings, len(kinds))
-        figure.savefig(path, dpi=150)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        with replacing(path) as file:
+            figure.savefig(file, dpi=150, format="png")
     finally:
         plt.close(figure)
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from voile.results.folder import replace
+from voile.files import replace
 from voile.study.analysis import Choice, Findings, Row
 from voile.study.execute import CONVERGED, Runs
 from voile.study.schema import EXTRAPOLATE, Known

@@ -175,8 +175,8 @@ def pattern_of_surface(
     try:
         flat = lay_flat(model, shell, rest, cut_overlaps=False)
         pattern = draw(flat, scene, model, up)
-        points = np.concatenate([piece.points for piece in pattern.pieces])
-        figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)
-        return figures, points, flat.panels.corners
     except (InputError, NotConverged) as reason:
         return {"none": str(reason)}, None, None
+    points = np.concatenate([piece.points for piece in pattern.pieces])
+    figures = write_pattern_files(folder, pattern, picture or len(pattern.pieces) > 1)
+    return figures, points, flat.panels.corners

@@ -268,16 +268,21 @@ class Steps:
             self.run.writing += time.perf_counter() - began
 
     def finish(self, path: LoadPath) -> None:
-        """Writes the last good state of a path that did not reach its end."""
+        """Writes the last good state of a path that did not reach its end, and where round-off ended it."""
         if path.converged:
             return
-        if not self.reached:
-            self._write(0.0, path.state, {"residual": math.inf, "converged": 0.0})
-        elif self.reached % self.run.scene.output.every:
+        if path.steps and self.reached % self.run.scene.output.every:
             self._write_step(path.steps[-1], path.state)
+        if path.blurred:
+            step, state = path.blurred
+            y = path.state.duplicate()
+            self.problem.restore(y, state)
+            self._write_step(step, y, converged=0.0)
+        elif not self.reached:
+            self._write(0.0, path.state, {"residual": math.inf, "converged": 0.0})
 
-    def _write_step(self, step: LoadStep, y: PETSc.Vec) -> None:
-        scalars = {"residual": step.residual, "converged": 1.0, **step.energies}
+    def _write_step(self, step: LoadStep, y: PETSc.Vec, converged: float = 1.0) -> None:
+        scalars = {"residual": step.residual, "converged": converged, **step.energies}
         if step.displacement is not None:
             scalars["load_displacement"] = step.displacement
         self._write(step.factor, y, scalars)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import voile
 from voile.arrays import Ints, Reals
 from voile.errors import NotConverged
+from voile.files import made, replace
 from voile.mesh import write_obj
 from voile.results import Result, read_result, read_summary
 from voile.results.history import read_history
@@ -78,7 +79,7 @@ class Bench:
 
     def attempt(self, name: str, scene: dict[str, Any]) -> Outcome:
         """The same, of a scene that may be known not to reach its end."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        made(self.folder)
         scene = {key: dict(table) if isinstance(table, dict) else table for key, table in scene.items()}
         if self.change:
             self.change(scene)
@@ -88,7 +89,7 @@ class Bench:
                 write_obj(self.folder / file, value.points, value.triangles, groups=value.groups)
                 scene["shell"][key] = file
         path, folder = self.folder / f"{name}.toml", self.folder / f"{name}-result"
-        path.write_text(toml(plain(scene)), encoding="utf-8")
+        replace(path, toml(plain(scene)).encode())
         solve(path, folder)
         return Outcome(folder)
 

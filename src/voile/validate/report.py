@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from voile.errors import InputError
+from voile.files import replacing
 from voile.post.plot import COLOURS
 from voile.post.render import INK, LINE
 from voile.validate.protocol import Check, Plot, Verdict
@@ -99,9 +99,8 @@ def draw(out: Path, plot: Plot, title: str) -> None:
     try:
         paint(axes, plot)
         axes.set_title(title, loc="left", color=INK, fontsize=10)
-        figure.savefig(out, dpi=130)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror or error}") from None
+        with replacing(out) as file:
+            figure.savefig(file, dpi=130, format="png")
     finally:
         plt.close(figure)
 

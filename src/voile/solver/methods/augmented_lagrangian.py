@@ -80,17 +80,16 @@ class AugmentedLagrangian:
             astray = Astray(held, options) if problem.held else None
             done = self.descent.run(held, y, max(tolerance, rough), options.iterations, astray)
             if not done and not to_round_off(held, y, self.descent.nonlinear.norm, max(tolerance, rough)):
-                return Outcome(False, self.name, self.descent.nonlinear.missed(y))
+                return self.descent.nonlinear.missed(self.name, y)
             potential.update(problem.point(y))
             potential = replace(potential, softness=min(options.hardening * potential.softness, 1.0))
             settled = self.descent.nonlinear.iterations <= 2 or potential.softness == 1.0
             if settled and self._finished(problem, y, tolerance):
                 return Outcome(True, self.name)
             rough *= 0.1
-        missed = self.descent.nonlinear.missed(y)
-        return Outcome(
-            False, self.name, f"{options.updates} updates of the reactions did not converge; {missed}"
-        )
+        missed = self.descent.nonlinear.missed(self.name, y)
+        reason = f"{options.updates} updates of the reactions did not converge; {missed.reason}"
+        return replace(missed, reason=reason)
 
     def _finished(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""

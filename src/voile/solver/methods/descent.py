@@ -76,7 +76,7 @@ class Descent:
         """See Method."""
         if self.run(problem, y, tolerance):
             return Outcome(True, self.name)
-        return Outcome(False, self.name, self.nonlinear.missed(y))
+        return self.nonlinear.missed(self.name, y)
 
     def run(
         self,

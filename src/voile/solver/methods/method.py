@@ -22,14 +22,16 @@ REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isins
 @dataclass
 class Outcome:
     """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
-    saddle: an unstable one found instead; norm: of the residual and of what the laws miss at the end (N), where the
-    method knows it; watched: no step on the way led through an obstacle."""
+    saddle: an unstable one found instead; blurred: an iterate that only round-off may keep from the tolerance; norm: of
+    the residual and of what the laws miss at the end (N), where the method knows it; watched: no step on the way led
+    through an obstacle."""
 
     converged: bool
     method: str
     reason: str = ""
     gone: bool = False
     saddle: State | None = None
+    blurred: State | None = None
     norm: float | None = None
     watched: bool = False
 
@@ -140,17 +142,19 @@ class Nonlinear:
         """Those of the last run."""
         return int(self.snes.getIterationNumber())
 
-    def missed(self, y: PETSc.Vec) -> str:
+    def missed(self, method: str, y: PETSc.Vec) -> Outcome:
         """By how much the last run, which ended at y, missed its tolerance; and round-off, where it is to blame."""
         asked, why = self.asked, REASONS.get(self.snes.getConvergedReason(), "?")
         noise = max(round_off(self.problem, y))
-        blame = ""
+        blame, blurred = "", None
         if self.norm < BLAMED * noise:
+            blurred = self.problem.save(y)
             times = max(noise, self.norm) / asked
             blame = f"; round-off is {noise:.1e} N: a tolerance (statics.tolerance) {times:.0e} times as large is met"
         given = self.snes.getTolerances()[1]
         early = f"; the option -snes_atol {given:g} is above it" if given > asked else ""
-        return f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){early}{blame}"
+        reason = f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){early}{blame}"
+        return Outcome(False, method, reason, blurred=blurred, norm=self.norm)
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
         assert self.work.monitor is not None

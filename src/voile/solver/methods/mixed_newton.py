@@ -43,7 +43,7 @@ class MixedNewton:
         self.stalled, self.negative = False, None
         if self.nonlinear.run(problem, y, tolerance, self.options.iterations):
             return Outcome(True, self.name)
-        return Outcome(False, self.name, self.nonlinear.missed(y))
+        return self.nonlinear.missed(self.name, y)
 
 
 @dataclass

@@ -114,8 +114,8 @@ class PseudoTransient:
                 problem.restore(y, before)
                 rate *= 1.0 if self._sharpened(problem, y, tolerance) else options.raise_
                 if rate > options.last_rate * slow:
-                    missed = self.descent.nonlinear.missed(y)
-                    return self._failed(f"no step of pseudo-time converges; {missed}")
+                    missed = self.descent.nonlinear.missed(self.name, y)
+                    return self._failed(f"no step of pseudo-time converges; {missed.reason}")
                 continue
             slips = True
             moved = difference(y, problem.unknowns_of(start))

@@ -83,7 +83,7 @@ class Semismooth:
             reason = "the semismooth Newton method ended at a saddle"
             return Outcome(False, self.name, reason, saddle=problem.save(y))
         if not done:
-            return Outcome(False, self.name, self.nonlinear.missed(y))
+            return self.nonlinear.missed(self.name, y)
         return Outcome(True, self.name, norm=self.nonlinear.norm)
 
 

@@ -44,5 +44,5 @@ class Tied:
         )
         nonlinear = self.descent.nonlinear
         if not settled and not nonlinear.norm <= options.nearly * tolerance:
-            return Outcome(False, self.name, nonlinear.missed(y))
+            return nonlinear.missed(self.name, y)
         return replace(self.semismooth.solve(problem, y, tolerance), method=self.name)

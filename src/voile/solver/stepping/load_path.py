@@ -99,6 +99,7 @@ class LoadPath:
             done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
+                path.blurred = self._blurred(outcome)
                 self.problem = problem.at(control.factor)
                 if not self._retry(outcome):
                     path.reason = f"{outcome.reason}; at load factor {control.target:g}"
@@ -115,6 +116,7 @@ class LoadPath:
                 self._watch(start)
                 control.advanced(done.iterations)
             y.copy(path.state)
+            path.blurred = None
             path.steps.append(done)
             if on_step:
                 on_step(done, y)
@@ -122,6 +124,15 @@ class LoadPath:
             if on_pause:
                 on_pause(self._packed)
         path.converged, path.reason = True, path.steps[-1].reason
+
+    def _blurred(self, outcome: Outcome) -> tuple[LoadStep, State] | None:
+        """Of a failure: the step that round-off may have kept from the tolerance, and its state."""
+        problem, state = self.problem, outcome.blurred
+        if state is None or outcome.norm is None:
+            return None
+        y = problem.unknowns_of(state)
+        figures = outcome.norm, tolerance(problem, y, self.asked), problem.energies(y)
+        return LoadStep(problem.time, 0, *figures, method=outcome.method, reason=outcome.reason), state
 
     def _packed(self) -> Arrays:
         """What the path goes on from, between two steps."""
