@@ -21,7 +21,7 @@ def run(name: str, folder: Path, *options: str) -> subprocess.CompletedProcess[s
         subprocess.run(generate, check=True, timeout=60)
     (folder / "scene.toml").write_text((ROOT / "runs" / name / "scene.toml").read_text())
     command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out", *options]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=900)
 
 
 @pytest.mark.parametrize(

@@ -302,8 +302,8 @@ def _check_frames(scene: Scene, k: int, body: Obstacle) -> None:
     duration = scene.dynamics.duration
     if frames.lasts < duration * (1.0 - 1e-9):
         raise InputError(
-            f"{scene.path}: obstacle.{k}.frames: {len(frames.points)} frames last to {frames.lasts:g} s; allowed: to "
-            f"dynamics.duration = {duration:g} s at least"
+            f"{scene.path}: obstacle.{k}.frames: {len(frames.points)} frames, the last {Path(frames.source).name}, "
+            f"last to {frames.lasts:g} s; allowed: to dynamics.duration = {duration:g} s at least"
         )
 
 

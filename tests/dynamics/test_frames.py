@@ -80,7 +80,7 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
     run = ["run", str(scene), "-o", str(tmp_path / "out")]
     assert main(run) == 2 and "no such file" in capsys.readouterr().err
     write_frames(tmp_path, 2)
-    assert main(run) == 2 and "2 frames last to 0.1 s" in capsys.readouterr().err
+    assert main(run) == 2 and "2 frames, the last body_001.obj, last to 0.1 s" in capsys.readouterr().err
     assert (
         main([*run, "--set", "obstacle.0.file=body_000.obj"]) == 2
         and "not together" in capsys.readouterr().err
@@ -90,6 +90,8 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
     text = (tmp_path / "body_002.obj").read_text()
     (tmp_path / "body_002.obj").write_text(text[: text.rindex("\n")])
     assert main(run) == 2 and "other triangles" in capsys.readouterr().err
+    (tmp_path / "body_002.obj").write_text(text.replace("v ", "v -"))
+    assert main(run) == 2 and "body_002.obj: the mesh is inside out" in capsys.readouterr().err
     write_frames(tmp_path, 3)
     assert main(run) == 0
     with read_result(tmp_path / "out") as result:  # pictures draw the body as it is at the step's time

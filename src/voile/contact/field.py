@@ -149,7 +149,6 @@ def distance_field(
 def another_shape(body: DistanceField, points: Reals, source: str) -> DistanceField:
     """That of the same mesh with its points (n, 3) m elsewhere, as finely. Its error is taken for the first one's."""
     triangles, points = np.ascontiguousarray(body.triangles), np.ascontiguousarray(points, dtype=float)
-    _check_orientation(points, triangles, source)
     skin = _outer(points, triangles, float(np.linalg.norm(np.ptp(points, axis=0))))
     found = _sampled(points, triangles, skin, body.spacing, source)
     return replace(found, thinnest=body.thinnest, measured=body.measured)
@@ -186,8 +185,7 @@ def signed_distance(points: Reals, triangles: Ints, skin: Ints, p: Reals) -> Rea
 
 
 def _check_orientation(points: Reals, triangles: Ints, source: str) -> None:
-    """Refuses meshes without inside, triangles turned against their neighbours, and closed pieces turned inside out
-    even where the whole is not."""
+    """Refuses triangles turned against their neighbours, and what `check_inside` does."""
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     forth = (triangles < np.roll(triangles, -1, axis=1)).ravel()
     _, first, edge, count = np.unique(
@@ -200,6 +198,11 @@ def _check_orientation(points: Reals, triangles: Ints, source: str) -> None:
             f"{source}: at {len(against)} of its edges, first that of vertices {a} and {b}, the two triangles face "
             "opposite sides; orient all normals outwards"
         )
+    check_inside(points, triangles, source)
+
+
+def check_inside(points: Reals, triangles: Ints, source: str) -> None:
+    """Refuses meshes without inside, and closed pieces turned inside out even where the whole is not."""
     pieces, piece = igl.facet_components(triangles)
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

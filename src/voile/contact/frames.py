@@ -16,9 +16,9 @@ KEPT = 3  # distance fields in memory: the two of a step, and the next
 
 @dataclass(frozen=True)
 class Frames:
-    """points (f, n, 3) m of a mesh at times 0, step, 2 step, ... (s); first: the field of the first. The gap at a time
-    between two frames is the mean of theirs, by its share; a point on the body moves with the place of the mesh that is
-    nearest to it."""
+    """points (f, n, 3) m of a mesh at times 0, step, 2 step, ... (s); first: the field of the first; source: where the
+    last is from. The gap at a time between two frames is the mean of theirs, by its share; a point on the body moves
+    with the place of the mesh that is nearest to it."""
 
     points: Reals
     step: float
@@ -81,7 +81,7 @@ class Frames:
         if k not in self._fields:
             if len(self._fields) >= KEPT:
                 del self._fields[min(self._fields)]
-            self._fields[k] = another_shape(self.first, self.points[k], f"{self.source}, frame {k}")
+            self._fields[k] = another_shape(self.first, self.points[k], f"frame {k} to {self.source}")
         return self._fields[k]
 
 
@@ -102,7 +102,7 @@ def frame_files(pattern: Path) -> list[Path]:
     except (TypeError, ValueError):
         names = [pattern, pattern]
     if names[0] == names[1]:
-        raise InputError(f"{pattern}: no number in it; allowed: a pattern such as body_%03d.obj")
+        raise InputError(f"{pattern}: not a name with one number in it; allowed: such as body_%03d.obj")
     number, files = 0 if names[0].is_file() else 1, []
     while (file := Path(str(pattern) % number)).is_file():
         files.append(file)

@@ -13,7 +13,7 @@ import numpy as np
 
 from voile.arrays import Ints, Reals
 from voile.contact.directions import NOWHERE, TINY, normalised, perpendicular, radial, unit
-from voile.contact.field import DistanceField, distance_field
+from voile.contact.field import DistanceField, check_inside, distance_field
 from voile.contact.frames import Frames, frame_files
 from voile.contact.motion import Motion
 from voile.contact.obstacle import SHAPES, Obstacle
@@ -355,10 +355,11 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
         for file, (other, corners) in zip(files, bodies, strict=True):
             if other.shape != points.shape or not np.array_equal(corners, triangles):
                 raise InputError(f"{file}: other triangles than {files[0]}; frames need the same")
+            check_inside(other, corners.astype(np.int64), str(file))
         shifted = np.array([body[0] for body in bodies]) + values["translate"]
         body = distance_field(shifted[0], triangles, values["resolution"], str(files[0]))
         if values["frames"]:
-            common["frames"] = Frames(shifted, values["frame_time"], body, str(values["frames"]))
+            common["frames"] = Frames(shifted, values["frame_time"], body, str(files[-1]))
         return cls(**vars(body), **common)
 
     @classmethod
