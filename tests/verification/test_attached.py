@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 
+import voile
 from voile.cli import main
+from voile.errors import InputError
 from voile.results import read_result, read_summary
 from voile.validate.shells import mapped
 
@@ -168,6 +171,55 @@ def test_a_sheet_on_springs_swings_with_its_mass(tmp_path):
         lost = sum(value for name, value in books["energy"].items() if name.endswith("_dissipated"))
         assert total + lost == pytest.approx(0.5 * 2.0 * MASS * 0.04, rel=1e-7)
     assert errors[2] < 5e-3 and errors[0] / errors[1] > 3.5 and errors[1] / errors[2] > 3.5
+
+
+def test_what_is_attached_vibrates_with_the_shell():
+    """A cantilever on a foundation, omega^2 = own + k/m; one with its own mass at the tip; a sheet that hangs on two
+    bars, which are taut by its weight: sqrt(g/l) along it, a compound pendulum's across."""
+    u, v, triangles, _ = mapped(20, 2, "crossed")
+    strip = np.column_stack([LENGTH * u, WIDTH * v, 0.0 * u])
+    shell = {
+        "mesh": (strip, triangles),
+        "young": YOUNG,
+        "poisson": 0.0,
+        "thickness": THICKNESS,
+        "density": 300.0,
+    }
+    ends = {x: {"nodes": np.flatnonzero(strip[:, 0] == x).tolist()} for x in (0.0, LENGTH)}
+    held = [{"select": ends[0.0], "clamp": True}, {"select": {"all": True}, "axes": "xy"}]
+    spring = {"select": {"all": True}, "stiffness": 60.0, "per": "area", "axes": "z"}
+    tables = {"scene": {"task": "modes"}, "modes": {"count": 1}, "shell": shell, "fix": held}
+    tables["loads"] = {"gravity": [0.0, 0.0, 0.0]}
+    unit = YOUNG * THICKNESS**3 / 12.0 * WIDTH / (MASS * LENGTH**3)
+    assert _omega({**tables, "spring": [spring]})[0] == pytest.approx(
+        np.sqrt(1.8751**4 * unit + 60.0 / (300.0 * THICKNESS)), rel=1e-3
+    )
+    tip = {"select": ends[LENGTH], "value": MASS}
+    assert _omega({**tables, "mass": [tip]})[0] == pytest.approx(1.2479**2 * np.sqrt(unit), rel=1e-3)
+    u, v, triangles, _ = mapped(4, 4, "crossed")
+    upper = np.column_stack([0.1 * u, 0.0 * u, 0.1 * v])
+    two = np.concatenate([upper, upper - [0.0, 0.0, 0.5]])
+    shell |= {"mesh": (two, np.concatenate([triangles, triangles + len(u)]))}
+    tie = [
+        {
+            "nodes": [int(np.flatnonzero((two == [x, 0.0, z]).all(axis=1))[0]) for z in (0.0, -0.4)],
+            "stiffness": 1e5,
+        }
+        for x in (0.0, 0.1)
+    ]
+    tables |= {
+        "fix": [{"select": {"nodes": list(range(len(u)))}}],
+        "loads": {"gravity": [0.0, 0.0, -GRAVITY]},
+    }
+    tables |= {"tie": tie, "modes": {"count": 2}}
+    swing = eigh(GRAVITY * np.diag([0.4, 0.05]), [[0.16, 0.02], [0.02, 0.01 / 3]], eigvals_only=True)
+    assert _omega(tables) == pytest.approx([np.sqrt(swing[0]), np.sqrt(GRAVITY / 0.4)], rel=2e-3)
+    with pytest.raises(InputError, match="tie: allowed with modes.buckling = false"):
+        _omega({**tables, "modes": {"buckling": True}})
+
+
+def _omega(tables: dict) -> np.ndarray:
+    return 2.0 * np.pi * np.array(voile.run(tables).summary["modes"]["frequencies"])
 
 
 @pytest.mark.parametrize(

@@ -300,8 +300,11 @@ class Scene:
                 raise Rejected("allowed without task = inverse", ("fix", index, "frame"))
             if fix.frame and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
                 raise Rejected('allowed with dynamics.solver = "newton"', ("fix", index, "frame"))
-        if given and self.scene.task not in ("statics", "dynamics"):
-            raise Rejected("allowed with task = statics or dynamics", (given,))
+        if given and inverse:
+            raise Rejected("allowed with task = statics or dynamics, or modes", (given,))
+        bars = next((name for name in ("band", "tie") if getattr(self, name)), None)
+        if bars and self.scene.task == "modes" and self.modes.buckling:
+            raise Rejected("allowed with modes.buckling = false: loads pull bars tight", (bars,))
         if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
             raise Rejected('allowed with dynamics.solver = "newton"', (given,))
 
