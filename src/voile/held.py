@@ -83,7 +83,7 @@ def _by_law(scene: Scene, move: Move | None) -> bool:
 
 def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]:
     """The supports that rotate, in time all that move, and how. Raises InputError if two tables move a vertex, neither
-    alike nor at right angles, and for a clamp that rotates in time."""
+    alike nor at right angles."""
     moves = []
     for k, (fix, hold) in enumerate(zip(scene.fix, holds, strict=True)):
         mine = hold.vertices
@@ -99,12 +99,7 @@ def moves_of(scene: Scene, holds: list[Hold]) -> tuple[tuple[Ints, Motion], ...]
                 )
             mine = np.setdiff1d(mine, both)
         if fix.move and _by_law(scene, fix.move):
-            motion = motion_of(scene, _along_axes(fix.move, fix.frame))
-            if fix.clamp and motion.turns and scene.scene.task == "dynamics":
-                raise InputError(
-                    f"{scene.path}: fix.{k}.clamp: a clamp that rotates; allowed: with task = statics, or clamp = false"
-                )
-            moves.append((mine, motion))
+            moves.append((mine, motion_of(scene, _along_axes(fix.move, fix.frame))))
     return tuple(moves)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from voile import _kernels
 from voile.arrays import Ints, Reals
@@ -108,6 +109,30 @@ class Elastic(Term):
         with self.timed():
             self.at(at.time).gradient(at.u, at.phi, gradient, edge_gradient)
         return -np.concatenate([gradient, edge_gradient])
+
+    def clamp_work(self, at: Point, since: float, until: float) -> float:
+        """J that this rank's clamps work on the shell as they rotate between two times (s), with their moments at a
+        point."""
+        if not self._turns or since == until:
+            return 0.0
+        part, total = self.part, 0.0
+        row, moment = self.clamp_moments(at)
+        for k, motion in enumerate(part.turns):
+            turned = Rotation.from_matrix(motion.turn(until) @ motion.turn(since).T).as_rotvec()
+            total += float(moment[part.half_edge_clamp[row, 6] == k].sum(axis=0) @ turned)
+        return total
+
+    def clamp_moments(self, at: Point) -> tuple[Ints, Reals]:
+        """(k,) rows of part.half_edge_clamp whose triangles count on this rank, and the moments (k, 3) N m on the shell
+        of these clamps: about the edge, what keeps its half hinge angle."""
+        part = self.part
+        half = part.half_edge_clamp[:, 0].astype(np.int64)
+        row = np.flatnonzero(part.weight[half // 3] > 0.0)
+        half = half[row]
+        slope = self.at(at.time).stresses(at.u, at.phi)[:, 5:].ravel()[half]  # dW/dalpha
+        start, end = (at.positions[part.corners[half // 3, (half + turn) % 3]] for turn in (1, 2))
+        along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+        return row, slope[:, None] * along
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         self.at(at.time).hessian(at.u, at.phi, kind, scatter)

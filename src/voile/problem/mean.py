@@ -66,6 +66,11 @@ class MeanElastic(Term):
         found: Reals = np.sum(parts, axis=0)
         return found
 
+    def clamp_work(self, at: Point, since: float, until: float) -> float:
+        """That of `elastic`, with the mean of its moments."""
+        places = self._places(at)
+        return sum(weight * elastic.clamp_work(there, since, until) for elastic, there, _, weight in places)
+
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         try:
             for elastic, there, s, weight in self._places(at):
@@ -124,11 +129,11 @@ class MeanTerm(Term):
 def _places(start: Point, at: Point, nodes: Nodes) -> Iterator[tuple[Point, float, float]]:
     """(point, s, weight) of each node on the way from `start` to `at`, which is that of s = 1 itself."""
     for s, weight in nodes:
-        yield at if s == 1.0 else _between(start, at, s), s, weight
+        yield at if s == 1.0 else between(start, at, s), s, weight
 
 
-def _between(start: Point, at: Point, s: float) -> Point:
-    """The point after a share of the way."""
+def between(start: Point, at: Point, s: float) -> Point:
+    """The point after a share of the way, 0 to 1, in displacements that count from where those of `at` do."""
     displacement = start.displacement + s * (at.displacement - start.displacement)
     return replace(
         at,

@@ -40,15 +40,12 @@ def driven(problem: Problem) -> Flags:
 
 def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
     """(k, 2) vertices in the input's order and (k, 3) moments (N m) on the shell of the clamps of the half edges whose
-    triangles count on this rank: about the edge, what keeps its half hinge angle."""
-    part, at = problem.part, problem.point(y)
-    half = part.half_edge_clamp[:, 0].astype(np.int64)
-    half = half[part.weight[half // 3] > 0.0]
-    slope = problem.kernel.stresses(at.u, at.phi)[:, 5:].ravel()[half]  # dW/dalpha
+    triangles count on this rank."""
+    part = problem.part
+    row, moments = problem.elastic.clamp_moments(problem.point(y))
+    half = part.half_edge_clamp[row, 0].astype(np.int64)
     ends = np.column_stack([part.corners[half // 3, (half + turn) % 3] for turn in (1, 2)])
-    along = at.positions[ends[:, 1]] - at.positions[ends[:, 0]]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return part.vertex[ends], slope[:, None] * along
+    return part.vertex[ends], moments
 
 
 def support_table(

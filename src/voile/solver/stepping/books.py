@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from voile.arrays import Reals
 from voile.problem.contact import contact_work
+from voile.problem.mean import between
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.terms import Point
@@ -81,14 +82,15 @@ class Books:
     def entries(self, step: Ended) -> dict[str, float]:
         """What a step adds to the totals, and to the error (J)."""
         forces, before = step.forces, step.forces.before
-        problem, start = forces.problem, forces.start
-        at = problem.point(step.y)
+        problem, at = forces.problem, forces.problem.point(step.y)
+        start = between(forces.start, at, 0.0)
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
         inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
         elastic, loads = forces.elastic.forces(at), forces.loads(at)
         springs = sum((term.forces(at) for term in forces.springs), np.zeros_like(loads))
         damping = forces.resistance(at, step.prediction)
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
+        clamps, damped = map(float, problem.comm.allreduce(np.array(forces.clamp_work(at))))
         work = {
             name: self._work(force, way)
             for name, force in (("elastic", elastic + springs), ("loads", loads), ("damping", damping))
@@ -111,13 +113,13 @@ class Books:
             "present": self.kinetic(step.after) + self._elastic(at) + lost,
             "friction_dissipated": contact["friction"],
             "impact_dissipated": contact["impact"],
-            "damping_dissipated": wind - work["damping"],
+            "damping_dissipated": wind + damped - work["damping"],
             "wind_work": wind,
             "scheme_dissipated": (moved - gained)
             + step.lost
-            - (work["elastic"] + stored)
+            - (work["elastic"] + stored - clamps)
             - (work["loads"] + potential if problem.conservative else 0.0),
-            "supports_work": moved - sum(work.values()) - contact["total"] - missed,
+            "supports_work": moved - sum(work.values()) + clamps + damped - contact["total"] - missed,
             "obstacles_work": contact["obstacles"],
             "loads_work": given,
         }

@@ -6,6 +6,7 @@ import numpy as np
 
 from voile.arrays import Flags, Reals
 from voile.problem.damping import Air, Damping, Viscous, Wind
+from voile.problem.elastic import Elastic
 from voile.problem.inertia import Dead, Inertia
 from voile.problem.mean import END, MeanElastic, MeanTerm, Nodes
 from voile.problem.problem import Problem
@@ -36,6 +37,7 @@ class StepForces:
         if nodes != END:
             self.springs = tuple(MeanTerm(term, self.start, nodes) for term in problem.springs)
         self.share, self.lag = self.damping.stiffness / self.h, np.zeros(problem.part.matrix.shape[0])
+        self.lag_work = 0.0
         self.late, dead = problem.loads, self.lag
         self.early = early * problem.loads.forces(self.start) if early else dead
         if early:
@@ -43,6 +45,8 @@ class StepForces:
         damped = self.elastic
         if self.share:
             self.lag = self.share * problem.elastic.forces(self.start)
+            turned = problem.elastic.clamp_work(self.start, self.start.time, problem.time)
+            self.lag_work = self.share * turned
             damped, dead = self._mean(_with_end(nodes, self.share)), dead - self.lag
         if early and problem.loads.moments:  # whose Hessian comes with that of the kernel at the end
             damped = self._mean(_with_end(nodes, self.share))
@@ -76,12 +80,20 @@ class StepForces:
             total += self.share * self.problem.elastic.forces(at) - self.lag
         return total
 
+    def clamp_work(self, at: Point) -> tuple[float, float]:
+        """What the clamps that rotate work on this rank against the elastic force, and against its damping (J)."""
+        since, until = self.start.time, at.time
+        damping = 0.0
+        if self.share:
+            damping = self.share * self.problem.elastic.clamp_work(at, since, until) - self.lag_work
+        return self.elastic.clamp_work(at, since, until), damping
+
     def wind_work(self, at: Point, prediction: Prediction) -> float:
         """What the moving air works on this rank (J)."""
         wind = [term for term in self.resisting(prediction) if isinstance(term, Wind)]
         return sum(term.given(at, self.h) for term in wind)
 
-    def _mean(self, nodes: Nodes) -> Term:
+    def _mean(self, nodes: Nodes) -> Elastic | MeanElastic:
         elastic = self.problem.elastic
         return elastic if nodes == END else MeanElastic(elastic, self.start, nodes)
 
