@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lo_roof import OPENING, RADIUS, roof
 
+import voile
 from voile.cli import main
 from voile.problem.stress_fields import FIELDS
 from voile.results import CELL_FIELDS, read_result
@@ -234,3 +236,42 @@ def test_pressure_by_group(tmp_path, capsys):
         np.testing.assert_allclose(hoop[far], pressure * radius[far], rtol=0.03)
     run_groups("loads.patch.0.group=lower", code=2)
     assert "loads.patch.0.group = 'lower' is not a group of triangles" in capsys.readouterr().err
+
+
+def test_scordelis_and_los_roof():
+    """Forces and moments of the row of cells at midspan, means of a cell's four triangles, against linear shell theory:
+    75.7 kip/ft along the free edge, 2.06 kip along the crown. Its deflection is that of tests/verification/macneal."""
+    assert roof(np.array([OPENING]), 25.0)["down"] == pytest.approx(0.300592, rel=1e-4)
+    cells, factor = 16, 1e-4  # of the load: linear
+    u, v, triangles, side = mapped(cells, cells, "crossed")
+    points = RADIUS * np.column_stack([np.sin(OPENING * u), v, np.cos(OPENING * u)])
+    held = {"v0": {"axes": "xz"}, "v1": {"axes": "y", "clamp": True}, "u0": {"axes": "x", "clamp": True}}
+    found = voile.run(
+        {
+            "shell": {"mesh": (points, triangles), "young": 4.32e8, "poisson": 0.0, "thickness": 0.25,
+                      "density": 360.0},
+            "loads": {"gravity": [0.0, 0.0, -factor]},
+            "fix": [
+                {"select": {"nodes": np.flatnonzero(getattr(side, name)).tolist()}, **keys}
+                for name, keys in held.items()
+            ],
+            "statics": {"load_steps": 1},
+            "output": {"fields": ["membrane_force", "bending_moment"]},
+        }
+    )  # fmt: skip
+    angle, along = OPENING * u[triangles].mean(axis=1), v[triangles].mean(axis=1)
+    row = np.flatnonzero(along > 1.0 - 1.0 / cells)
+    column = (angle[row] / OPENING * cells).astype(int)
+    places, which = np.unique(along[row].round(9), return_inverse=True)
+    exact = [roof(angle[row], RADIUS * x) for x in places]
+    around = np.column_stack([np.cos(angle), 0.0 * angle, -np.sin(angle)])[row]
+    for name, field, bound in (("n", "membrane_force", 0.02), ("m", "bending_moment", 0.03)):
+        value = found.field(field)[row] / factor
+        tensor = value[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
+        for axis, mine in (
+            ("along", value[:, 1]),
+            ("around", np.einsum("tij,ti,tj->t", tensor, around, around)),
+        ):
+            theirs = np.array([exact[i][f"{name}_{axis}"][k] for k, i in enumerate(which)])
+            means = [np.bincount(column, values) / np.bincount(column) for values in (mine, theirs)]
+            assert np.abs(means[0] - means[1]).max() < bound * np.abs(theirs).max()
