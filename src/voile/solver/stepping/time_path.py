@@ -358,9 +358,10 @@ class Stepper:
         return np.asarray(known | (bears | problem.motion(unknowns).any(axis=1))[:, None], dtype=bool)
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
-        """Goes as the last acceleration leads, as far as terms admit."""
+        """Goes as the last acceleration leads, but where something pushed, for an impact's is no other's; as far as terms
+        admit."""
         k = self.k
-        goal = prediction.predicted + k.acceleration / prediction.coefficient
+        goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
 
