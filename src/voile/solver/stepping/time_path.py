@@ -358,8 +358,8 @@ class Stepper:
         return np.asarray(known | (bears | problem.motion(unknowns).any(axis=1))[:, None], dtype=bool)
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
-        """Goes as the last acceleration leads, but where something pushed, for an impact's is no other's; as far as terms
-        admit."""
+        """Goes as the last acceleration leads, as far as terms admit; where something pushed, as the velocity does,
+        for an impact is over."""
         k = self.k
         goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
         way = field_vector(problem, goal - k.positions)
