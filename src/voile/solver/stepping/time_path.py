@@ -22,7 +22,7 @@ from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
-from voile.solver.stepping.blame import crushed, starts_inside
+from voile.solver.stepping.blame import depth_inside, what_is_wrong
 from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.creation import Creation
 from voile.solver.stepping.folds import Folds
@@ -38,7 +38,8 @@ class Options:
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
     positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. closes: of
     the most energy that there was, what the books may miss at the end; steps that take more than their share of it are
-    solved more sharply."""
+    solved more sharply. thrown: falls over the shell's size, above whose speed no first step throws it out of
+    a body."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -49,6 +50,7 @@ class Options:
     digits: float = 4.0
     finest: float = 1.0 / 256.0
     closes: float = 5e-9
+    thrown: float = 10.0
 
 
 @dataclass
@@ -196,9 +198,10 @@ class Stepper:
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
-                hopeless = path.length < self.options.smallest * asked.time_step
-                if hopeless or self.creation.nonsense:
-                    path.reason = f"{outcome.reason}; at time {path.time:g} s{self._blame()}"
+                if path.length < self._shortest() or self.creation.nonsense:
+                    advice = asked.advice if self.creation.nonsense else ""
+                    wrong = what_is_wrong(self.problem, self.y, not path.count, advice)
+                    path.reason = f"{outcome.reason}; at time {path.time:g} s{wrong}"
                     return
                 continue
             grown = self.wish or max(path.length, self.options.longer * h)
@@ -214,12 +217,11 @@ class Stepper:
                 return
         path.converged, path.reason = True, "end of the simulated time"
 
-    def _blame(self) -> str:
-        """What is wrong with the shape from which no step leads on, where that can be seen, or what helps."""
-        inside = "" if self.path.count else starts_inside(self.problem, self.y)
-        if self.creation.nonsense:
-            return inside or f"; {self.asked.advice} help"
-        return inside or crushed(self.problem, self.y)
+    def _shortest(self) -> float:
+        """Of a step (s): one that throws out what starts inside an obstacle is the worse the shorter it is."""
+        deep = 0.0 if self.path.count else depth_inside(self.problem, self.y)[0]
+        falling = float(np.sqrt(self.fall * self.problem.size()))  # m/s
+        return max(self.options.smallest * self.asked.time_step, deep / (self.options.thrown * falling))
 
     def _rests(self, done: TimeStep) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
