@@ -114,7 +114,18 @@ def test_prepared_files_are_not_written_through(voile, tmp_path, how):
     assert not list(voile.folder.glob(".*part"))
 
 
-@pytest.mark.parametrize("name", ["summary.json", "result.vtkhdf", ".voile-run", "history.h5", "pattern.svg"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "summary.json",
+        "result.vtkhdf",
+        ".voile-run",
+        "history.h5",
+        "pattern.svg",
+        "restart/last",
+        ".summary.json.part",
+    ],
+)
 def test_a_folder_where_a_file_is_to_be(voile, name):
     (voile.folder / name).mkdir(parents=True)
     code, said = voile("one")

@@ -33,7 +33,9 @@ friction = 0.3
 STATICS = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\n'
 ARC = '[scene]\ntask = "statics"\n[statics]\nload_steps = 40\ncontrol = "arc-length"\n'
 SCENES = {"load": STATICS + SHELL + SPHERE, "arc": ARC + SHELL}
-SCENES["nearest"] = '[scene]\ntask = "inverse"\n' + SHELL.replace("young = 1e8", "young = 6e6")
+SOFT = SHELL.replace("young = 1e8", "young = 6e6")
+SCENES["nearest"] = '[scene]\ntask = "inverse"\n' + SOFT
+SCENES["panels"] = '[scene]\ntask = "inverse"\n[inverse]\ndevelopable = "panels"\niterations = 8\n' + SOFT
 # What is kept after every step, not every half second.
 OFTEN = (
     "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
@@ -95,19 +97,27 @@ def test_a_killed_path_goes_on(write, tmp_path, name, capsys):
     assert (parts / "result.vtkhdf").read_bytes() == before
 
 
-def test_a_killed_search_goes_on(write, tmp_path):
-    """The nearest stable shape found after a kill on the way is that of one search, bit for bit."""
-    scene, whole, parts = write("nearest"), tmp_path / "whole", tmp_path / "parts"
+@pytest.mark.parametrize(("name", "step"), [("nearest", 12), ("panels", 13)])
+def test_a_killed_search_goes_on(write, tmp_path, name, step):
+    """The nearest stable shape, or the panels, found after a kill on the way are those of one search, bit for bit; the
+    adjoint method's, too, whose trials are often rejected."""
+    scene, whole, parts = write(name), tmp_path / "whole", tmp_path / "parts"
     one = main(["run", str(scene), "-o", str(whole)])
-    killed(scene, parts, 12)
+    killed(scene, parts, step)
     assert not (parts / "result.vtkhdf").exists()
     assert main(["run", str(scene), "-o", str(parts), "--resume"]) == one
     with read_result(whole) as a, read_result(parts) as b:
         np.testing.assert_array_equal(a.rest, b.rest)
         np.testing.assert_allclose(a.points(), b.points(), rtol=0, atol=1e-8)
     found, again = (read_summary(folder / "summary.json") for folder in (whole, parts))
-    assert found["reason"] == again["reason"] and found["inverse"]["nearest"]["steps"] > 12
-    assert found["inverse"]["nearest"] == again["inverse"]["nearest"]
+    assert found["reason"] == again["reason"]
+    found, again = found["inverse"], again["inverse"]
+    if name == "nearest":
+        assert found["nearest"]["steps"] > 12 and found["nearest"] == again["nearest"]
+    else:
+        assert found["forward_solves"] > found["adjoint_iterations"] + 1  # trials were rejected
+        for figure in ("adjoint_iterations", "sag"):
+            assert found[figure] == again[figure]
 
 
 def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_own(

@@ -121,8 +121,8 @@ def _minimise(
     def note(tao: PETSc.TAO) -> None:
         """An iteration, counted from the first start."""
         iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
-        if path.steps and path.steps[-1].iteration == before + iteration:
-            return  # a trial that was rejected
+        if path.steps and path.steps[-1].objective == value:
+            return  # a trial was rejected, or a search goes on from here: nothing is new
         path.trail = objective.trail
         path.steps.append(AdjointStep(before + iteration, value, gradient, path.trail[-1].sag))
         path.forward_solves = solves[0] + objective.forward.solves
@@ -141,7 +141,7 @@ def _minimise(
     tao = _optimiser(objective, z, radius, metric)
     tao.setMaximumIterations(max(iterations - before, 0))
     tao.setMonitor(note)
-    tao.setConvergenceTest(lambda tao: _settled(tao, path, first))
+    tao.setConvergenceTest(lambda tao: _settled(tao, path, first, before))
     try:
         tao.solve()
         path.reason = tao.getConvergedReason()
@@ -240,14 +240,15 @@ def _defaults(tao: PETSc.TAO, preconditioner: str) -> None:
         ksp.setFromOptions()
 
 
-def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float) -> None:
-    """Converged by default's tests, where the trust region has shrunk, or where it has become slow."""
+def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float, before: int) -> None:
+    """Converged by default's tests, where the trust region has shrunk, or where it has become slow; before: iterations
+    of the search that it goes on from."""
     iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
     reason = REASON.CONTINUE_ITERATING
     first = path.steps[0] if path.steps else None
     if not np.isfinite(value) or (first and gradient <= 1e-6 * first.gradient) or value == 0.0:
         reason = REASON.CONVERGED_GTTOL
-    elif iteration and tao.getType() == PETSc.TAO.Type.NTR and reach < LAST_RADIUS * radius:
+    elif before + iteration and tao.getType() == PETSc.TAO.Type.NTR and reach < LAST_RADIUS * radius:
         reason = REASON.CONVERGED_STEPTOL
     elif iteration >= tao.getMaximumIterations():
         reason = REASON.DIVERGED_MAXITS

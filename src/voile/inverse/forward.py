@@ -21,9 +21,11 @@ class Forward:
         self.solver, self.solves = Solver(problem, self.options), 0
 
     def solve(self, y: PETSc.Vec) -> bool:
-        """y moves to an equilibrium that descent reaches from it; False where it does not."""
+        """y moves to an equilibrium that descent reaches from it; False where it does not. It depends on the start and
+        the problem alone, not on what was solved before: a search that goes on finds the same."""
         problem = self.problem
         self.solves += 1
+        self.solver.descent.iteration.forget()
         wanted = tolerance(problem, y, self.options)
         if problem.contact:
             found = self.solver.solve(problem, y, wanted, self.solver.all).converged

@@ -27,7 +27,7 @@ RESULT, SUMMARY = "result.vtkhdf", "summary.json"
 # What runs write, beside pictures: names that must not be those of folders.
 FILES = (
     RECORD, RESULT, SUMMARY, "history.h5", "pattern.json", "pattern.svg", "pattern.dxf", "pattern.png", "rest.obj",
-    "developability.png",
+    "developability.png", "restart/last", f".{RESULT}.part", f".{SUMMARY}.part",
 )  # fmt: skip
 SPARE = 1 << 16  # bytes kept for the summary: a hundred times a short one
 NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # of file systems without

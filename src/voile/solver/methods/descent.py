@@ -102,10 +102,14 @@ class Iterate:
         self._wait = self._patience = (
             0  # steps until the exact Hessian is tried again; until then when it fails
         )
-        self._rest = self._pause = 0  # steps until, and between, watchdogs
-        self._least = 0.0  # 1/s^2 of mass that last made the exact Hessian positive definite
+        self.forget()
         self._grows = False  # whether it gave the last direction
         self._mixed = False  # whether a mixed tangent may replace the exact Hessian
+
+    def forget(self) -> None:
+        """Drops what former solves have taught."""
+        self._rest = self._pause = 0  # steps until, and between, watchdogs
+        self._least = 0.0  # 1/s^2 of mass that last made the exact Hessian positive definite
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""

@@ -1,0 +1,103 @@
+"""What strangers' scenes, meshes and results say cannot run code, or write outside the output folder."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from campaign_sources import STRIP, small_pattern
+
+from voile.results import write_pattern
+
+NAMES = (
+    "../../outside",
+    "$(touch outside)",
+    "`touch outside`",
+    "/tmp/outside",
+    "{0.__class__}",
+    "%n%s",
+    "<script>",
+)
+SCENE = """
+[scene]
+name = "../../outside $(touch outside) {{0.__class__}} <script>"
+[shell]
+mesh = "strip.obj"
+young = 1e6
+thickness = 1e-3
+density = 300.0
+[[fix]]
+name = "../../outside"
+select = {{ box = [[-0.01, -1, -1], [0.01, 1, 1]] }}
+[[fix]]
+select = {{ group = {group} }}
+move = {{ displacement = [0.0, 0.0, 0.001] }}
+[[obstacle]]
+shape = "sphere"
+center = [0.1, 0.0, -5.0]
+radius = 0.1
+"""
+# Runs commands with Python's audit events watched: imports of all that they need come first.
+WATCHED = """
+import json, os, sys
+import av, h5py, matplotlib.pyplot, meshio, pyvista, scipy.optimize, ezdxf, PIL.Image
+matplotlib.pyplot.figure().savefig(os.devnull, format="png")
+pyvista.Plotter(off_screen=True).screenshot(return_img=True)
+import voile.cli
+from voile.commands import all_commands
+FORBIDDEN = "subprocess.Popen os.system os.exec os.spawn os.posix_spawn pickle.find_class socket.connect".split()
+found, allowed = [], os.path.realpath(sys.argv[1])
+
+def watch(event, arguments):
+    told = event == "pickle.find_class" and arguments[0].split(".")[0] in ("voile", "numpy", "pathlib")  # between ranks
+    if event in FORBIDDEN and not told:
+        found.append([event, repr(arguments)])
+    if event == "open" and isinstance(arguments[0], str) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+        path = os.path.realpath(arguments[0])
+        if not path.startswith((allowed, "/dev/", "/proc/")):
+            found.append([event, path])
+    if event in ("os.rename", "os.mkdir", "os.symlink", "os.link", "os.remove"):
+        path = os.path.realpath(arguments[1 if event in ("os.rename", "os.link", "os.symlink") else 0])
+        if not path.startswith(allowed):
+            found.append([event, path])
+
+from voile.petsc_options import start_petsc
+start_petsc()
+sys.addaudithook(watch)
+codes = [voile.cli.main(command) for command in json.loads(sys.argv[2])]
+print(json.dumps({"codes": codes, "found": found}))
+"""
+
+
+def test_names_in_files_are_but_names(tmp_path):
+    pytest.importorskip("av")
+    inside, out = tmp_path / "scenes" / "inside", tmp_path / "scenes" / "inside" / "out"
+    inside.mkdir(parents=True)
+    vertices, faces = STRIP.split("\nf ", 1)
+    parts = ("f " + faces).splitlines()
+    lines = [f"g {NAMES[k % len(NAMES)]}\n{face}" for k, face in enumerate(parts)]
+    (inside / "strip.obj").write_text(f"mtllib ../../outside\n{vertices}\n" + "\n".join(lines))
+    (inside / "scene.toml").write_text(SCENE.format(group=json.dumps(NAMES[len(parts) % len(NAMES) - 1])))
+    pattern = small_pattern()
+    for piece, name in zip(pattern.pieces, NAMES, strict=False):
+        object.__setattr__(piece, "name", name)
+    out.mkdir()
+    write_pattern(out, pattern)
+    before = sorted(tmp_path.rglob("*"))
+    commands = [["run", inside / "scene.toml", "-o", out], ["info", out]]
+    commands += [
+        ["export", out, out / f"a.{kind}"] for kind in ("obj", "ply", "vtu", "glb", "svg", "dxf", "png")
+    ]
+    commands += [["render", out], ["report", out], ["pattern", out, "--pages", "a4"]]
+    words = json.dumps([[str(word) for word in command] for command in commands])
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, out, words], capture_output=True, text=True, timeout=300, cwd=inside
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert said == {"codes": [0] * len(commands), "found": []}, done.stderr
+    assert [path for path in sorted(tmp_path.rglob("*")) if out not in path.parents] == [
+        path for path in before if out not in path.parents
+    ]
+    page = (out / "report.html").read_text()
+    assert "<script>" not in page.split("<h2>Scene</h2>")[1].split("</pre>")[0]
