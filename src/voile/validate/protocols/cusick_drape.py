@@ -20,6 +20,7 @@ FABRICS = {
     "wool": (0.20, 9e-6, 0.40, 0.70, 8),
     "denim": (0.40, 4e-5, 0.70, 0.90, 6),
 }
+QUICK = ("silk", "denim")  # the softest and the stiffest
 
 
 def number(weight: float, stiffness: float) -> float:
@@ -88,7 +89,8 @@ def run(bench: Bench) -> Findings:
     checks: list[Check] = [
         close("rim of a stiff sheet [m]", low, stiff_rim(light, bending), 0.03 if bench.quick else 0.015)
     ]
-    for name, (weight, stiffness, least, most, folds) in FABRICS.items():
+    for name in QUICK if bench.quick else FABRICS:
+        weight, stiffness, least, most, folds = FABRICS[name]
         seen = [drape(bench, name, weight, stiffness, n, folds)[0] for n in meshes]
         if name == "wool" and not bench.quick:
             seen.append(drape(bench, name, weight, stiffness, 24, folds)[0])
