@@ -81,6 +81,17 @@ refine = [0, 1, 2]
     assert all(s.rate == pytest.approx(2.0, abs=1e-6) for s in found.series)
 
 
+@pytest.mark.parametrize(("rate", "guess"), [(2.0, False), (1.0, False), (0.4, True)])
+def test_limits_far_off_the_finest_run_are_guesses(rate, guess, findings):
+    """At rate 0.4 the limit is three times as far as the last refinement changed the value; not where it is asked for
+    no better."""
+    text = 'reference = "extrapolate"\naccuracy = [%s]\n[vary]\nrefine = [0, 1, 2]\n'
+    for accuracy, told in (("0.01", guess), ("0.5", False)):
+        found = findings(text % accuracy, lambda s: 1.0 + 0.3 * 2.0 ** (-rate * s["refine"]), lambda s: 1.0)
+        assert found.references["tip"] == pytest.approx(1.0, abs=1e-9)
+        assert found.guesses == (["tip"] if told else [])
+
+
 def test_small_by_chance_is_not_recommended(findings):
     """The second mesh crosses the reference by chance; finer ones are further off."""
     values = {0: 1.3, 1: 1.00001, 2: 0.94, 3: 0.985}

@@ -11,7 +11,9 @@ from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, Settings, cha
 
 # As slow as another run, as far as clocks tell: within this factor, and s that starting a program takes more or less.
 ALIKE, SCATTER = 1.25, 0.25
+LIMIT = "extrapolated"
 SAME = 1e-9  # of an error: another run's is the same
+FAR = 1.5  # of a value's last change: limits further off are guesses; at first order they are once as far
 
 
 @dataclass
@@ -42,11 +44,12 @@ class Choice:
 
 @dataclass
 class Findings:
-    """All that a study found; references by measure."""
+    """All that a study found; references by measure, and of which of them the limit is a guess."""
 
     plan: Plan
     rows: list[Row]
     references: dict[str, float]
+    guesses: list[str]
     about: str
     series: list[Series]
     front: list[Row]
@@ -91,7 +94,8 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
         errors = [error for j in (k, *others) if (error := rows[j].error) is not None]
         rows[k].trusted = max(errors) if rows[k].error is not None else None
     choices = [_choice(accuracy, rows) for accuracy in plan.study.study.accuracy]
-    return Findings(plan, rows, references, about, series, front, choices)
+    guesses = [name for name in references if about.startswith(LIMIT) and _far(plan, series, name, origin)]
+    return Findings(plan, rows, references, guesses, about, series, front, choices)
 
 
 def _origin(plan: Plan, records: list[Record]) -> int:
@@ -125,11 +129,27 @@ def _reference(
         return None
     if plan.reference is not None:
         return value, f"the run {told(plan.runs[origin].settings)}"
-    limits = [s for s in series if s.measure == name and origin in s.members and s.limit is not None]
+    limits = _limits(series, name, origin)
     if not limits:
         return None
     value += sum((s.limit or 0.0) - value for s in limits)
-    return value, f"extrapolated over {' and '.join(s.along for s in limits)} from {plan.runs[origin].name}"
+    return value, f"{LIMIT} over {' and '.join(s.along for s in limits)} from {plan.runs[origin].name}"
+
+
+def _limits(series: list[Series], name: str, origin: int) -> list[Series]:
+    """The series of a measure with a limit that a run belongs to."""
+    return [s for s in series if s.measure == name and origin in s.members and s.limit is not None]
+
+
+def _far(plan: Plan, series: list[Series], name: str, origin: int) -> bool:
+    """Whether an extrapolated reference lies much further off than the value changed last, and than what is asked
+    for."""
+    asked = min(plan.study.study.accuracy)
+    for s in _limits(series, name, origin):
+        beyond = abs((s.limit or 0.0) - s.values[-1])
+        if beyond > max(FAR * abs(s.values[-1] - s.values[-2]), asked * abs(s.limit or 0.0)):
+            return True
+    return False
 
 
 def _measure(

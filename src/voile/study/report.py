@@ -96,7 +96,12 @@ def _plain(findings: Findings, runs: Runs) -> dict[str, Any]:
         "study": str(plan.path),
         "scene": str(plan.scene),
         "measures": [m.name for m in plan.measures],
-        "reference": {"kind": kind, "values": findings.references, "about": findings.about},
+        "reference": {
+            "kind": kind,
+            "values": findings.references,
+            "about": findings.about,
+            "guesses": findings.guesses,
+        },
         "rates": [_rates(findings, s) for s in findings.series],
         "pareto": [_brief(row, runs) for row in findings.front],
         "recommended": [_recommended(choice, runs) for choice in findings.choices],
@@ -205,7 +210,13 @@ def _table(findings: Findings) -> list[str]:
         "  ".join(f"{cell:<{w}}" for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines
     ]
     values = ", ".join(f"{n} {v:.8g}" for n, v in findings.references.items())
-    return [*rows, f"* on the front; reference: {values} ({findings.about})"]
+    below = [f"* on the front; reference: {values} ({findings.about})"]
+    if findings.guesses:
+        below.append(
+            f"the reference of {', '.join(findings.guesses)} is a guess, further off than the value changed last: "
+            "finer runs tell more"
+        )
+    return [*rows, *below]
 
 
 def _rate_lines(findings: Findings) -> list[str]:

@@ -40,6 +40,7 @@ CHANGES = {
     "inverse.tolerance": ITERATION,
     "inverse.iterations": ITERATION,
     "inverse.max_seconds": ITERATION,
+    "modes.count": COST,
     "output": COST,
     RANKS: COST,
 }
