@@ -82,7 +82,8 @@ class LocalGlobal:
         """A for an inertia of `coefficient` (1/s^2), and what contacts take for it."""
         elastic = problem.terms[0]
         assert isinstance(elastic, Elastic | MeanElastic)
-        key = coefficient, elastic.stiffness
+        # The last step ends at the duration: its length differs by round-off, which A need not follow.
+        key = float(f"{coefficient:.9e}"), elastic.stiffness
         if key not in self._matrices:
             matrix = problem.create_matrix()
             inertia = mass_blocks(problem.vertex_mass(), coefficient)
