@@ -13,6 +13,7 @@ from browser import Browser
 from PIL import Image
 from test_film import FLAT, TRIANGLES, write
 
+import voile
 from voile.cli import main
 from voile.errors import InputError
 from voile.post.render import render
@@ -322,3 +323,35 @@ def test_the_library_is_what_npm_has():
     if not shutil.which("npm"):
         pytest.skip("needs npm")
     subprocess.run([ROOT / "scripts" / "vendor-three", "--check"], check=True, timeout=300)
+
+
+def test_modes_are_shapes_of_the_page(browser, tmp_path):
+    """After the equilibrium every mode has its shape and its frequency; the page opens with the first, or that of
+    --field."""
+    points = np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0), [0.0], indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
+    corner = (np.arange(5)[:, None] * 4 + np.arange(3)).ravel()[:, None]
+    triangles = np.concatenate([corner + np.array([0, 4, 5]), corner + np.array([0, 5, 1])])
+    scene = {
+        "scene": {"task": "modes"},
+        "shell": {"mesh": (0.1 * points, triangles), "young": 1e9, "thickness": 1e-3, "density": 300.0},
+        "loads": {"gravity": [0, 0, 0]},
+        "modes": {"count": 2},
+        "fix": [{"select": {"nodes": [0, 1, 2, 3]}, "clamp": True}],
+    }
+    result = voile.run(scene, tmp_path / "run")
+    for field, mode in ((None, 0), ("mode_001", 1)):
+        browser.open(report(tmp_path / "run", tmp_path / "a.html", field=field).path)
+        frequency = result.summary["modes"]["frequencies"][mode]
+        assert f"{frequency:.4g} Hz" in browser.value("document.getElementById('at').textContent")
+        assert browser.value("document.getElementById('field').value") == "mode"
+        shown = browser.value(
+            "readArrays().then(read => { const meta = JSON.parse(element('page-data').textContent);"
+            "const values = read(meta.points.data);"
+            "return meta.steps.map((_, k) => Array.from(unpackPoints({values, ...meta.points}, k, meta.vertices))); })"
+        )
+        moved = np.array(shown[1 + mode]).reshape(-1, 3) - result.positions
+        size = np.linalg.norm(np.ptp(result.positions, axis=0))
+        assert np.abs(moved - 0.1 * size * result.field(f"mode_{mode:03}")).max() < 0.51 / GRID
+        assert browser.problems == []

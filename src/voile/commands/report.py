@@ -12,7 +12,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument("-o", "--output", type=Path, help="default: report.html beside the result")
-    parser.add_argument("--field", default="strain", help="colours it opens with, as for render")
+    parser.add_argument(
+        "--field", help="colours it opens with, as for render (default: strain, or the first mode)"
+    )
     parser.add_argument("--size", type=float, metavar="MB", help="of the page, at most (default: 5)")
 
 

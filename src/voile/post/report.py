@@ -12,7 +12,7 @@ from voile.errors import InputError
 from voile.files import replace
 from voile.post.render import check_field
 from voile.post.report_page import Page
-from voile.post.report_shapes import shown
+from voile.post.report_shapes import opening, shown
 from voile.results import read_result
 
 MEGABYTES = 5.0  # what mail takes without a question
@@ -32,20 +32,21 @@ def report(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    field: str = "strain",
+    field: str | None = None,
     megabytes: float = MEGABYTES,
 ) -> Report:
     """Write a page of the result `path` to `out` (.html), which needs no other file and no network.
 
-    field: the colours it opens with, as for `render`. megabytes: its size at most; runs with more to show lose steps,
-    then vertices, and the page says so. Raises InputError for a field that is not there, a size that nothing fits in,
-    and a file that cannot be written.
+    field: the colours it opens with, as for `render`; default: strain, or of several modes the first. megabytes: its
+    size at most; runs with more to show lose steps, then vertices, and the page says so. Raises InputError for a field
+    that is not there, a size that nothing fits in, and a file that cannot be written.
     """
     out = Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: pages are written as .html")
     with read_result(path) as result:
-        check_field(result, field)
+        if field is not None:
+            check_field(result, field)
         page = Page(result)
         room = 1e6 * megabytes - page.size
         if not 0 < room < np.inf:
@@ -53,7 +54,7 @@ def report(
                 f"size = {megabytes:g} MB; allowed: more than the {page.size / 1e6:.2f} MB of this page without shapes"
             )
         shapes = shown(result, room)
-        text = page.text(shapes, field).encode()
-        steps, vertices = (len(shapes.steps), result.n_steps), (len(shapes.part.vertices), result.n_points)
+        text = page.text(shapes, opening(result, field)).encode()
+        steps, vertices = (shapes.count, result.n_steps), (len(shapes.part.vertices), result.n_points)
     replace(out, text)
     return Report(out, len(text), steps, vertices)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from html import escape
 from importlib import resources
+from typing import Any
 
 from voile.arrays import Reals
 from voile.post.camera import parse_scene
@@ -49,9 +50,9 @@ class Page:
         self.sections = "".join(self._sections())
         self.size = sum(len(text.encode()) for text in (*self.files.values(), self.sections))
 
-    def text(self, shapes: Shown, field: str) -> str:
-        """The page with shapes, in the colours of a field at first."""
-        data = {**shapes.meta, "field": field, "cursor": self._cursor(self.result.values[shapes.steps])}
+    def text(self, shapes: Shown, opening: dict[str, Any]) -> str:
+        """The page with shapes, as it opens."""
+        data = {**shapes.meta, **opening, "cursor": self._cursor(self.result.values[shapes.steps])}
         viewer = self.files["viewer"] + self.files["controls"]
         scripts = " ".join(f"'sha256-{_hash(text)}'" for text in (self.files["library"], viewer))
         rules = (
@@ -151,7 +152,7 @@ class Page:
 
 def _left_out(result: Result, shapes: Shown) -> list[str]:
     """What of the run a page does not show."""
-    steps, vertices = len(shapes.steps), len(shapes.part.vertices)
+    steps, vertices = shapes.count, len(shapes.part.vertices)
     notes = []
     if steps < result.n_steps:
         notes.append(

@@ -1,4 +1,7 @@
-"""The shapes, fields and obstacles of a page, with as many steps and vertices as it has room for."""
+"""The shapes, fields and obstacles of a page, with as many steps and vertices as it has room for.
+
+Steps are followed by the last one once for each mode, displaced by it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from voile.arrays import Ints, Reals
-from voile.post import contact
+from voile.post import contact, swing
 from voile.post.camera import VIEWS, look, outermost, parse_scene, upright
 from voile.post.film import SCALED_BY
 from voile.post.quantities import available, boundary_edges, quantity
@@ -20,6 +23,7 @@ from voile.results import Result
 
 SIZE = (1200, 900)  # pixels that the camera is framed for: 4 to 3, as page.css says
 HIDDEN = ("start", "rest", "input_vertex", "group")  # fields that colours tell nothing of
+MODE = "mode"  # the field of all modes
 FEW_STEPS = 16  # a page without room for so many (or all, if fewer) rather has fewer vertices
 FEW_VERTICES = 500  # fewer show no shape
 ROOM = 0.92  # of what there is place for, aimed at: a page a little too large is made anew
@@ -40,11 +44,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Shown:
-    """What viewer.js reads: data for JSON, and the arrays as text; steps: which of the result's they are."""
+    """What viewer.js reads: data for JSON, and the arrays as text; steps: which of the result's they are, whose number
+    without modes is `count`."""
 
     meta: dict[str, Any]
     arrays: str
     steps: Ints
+    count: int
     part: Part
 
     @cached_property
@@ -66,8 +72,8 @@ def shown(result: Result, room: float) -> Shown:
             break
         page = _encode(result, part, count)
     for _ in range(GROWTHS):
-        more = min(result.n_steps, int(ROOM * len(page.steps) * room / page.size))
-        if more <= len(page.steps):
+        more = min(result.n_steps, int(ROOM * page.count * room / page.size))
+        if more <= page.count:
             break
         longer = _encode(result, part, more)
         if longer.size > room:
@@ -98,10 +104,19 @@ def _decimated(points: Reals, triangles: Ints, share: float) -> tuple[Ints, Ints
 
 
 def _encode(result: Result, part: Part, count: int) -> Shown:
+    modes = swing.modes_of(result)
     steps = np.unique(np.linspace(0, result.n_steps - 1, count).round().astype(int))
+    count, steps = len(steps), np.append(steps, np.full(len(modes), result.n_steps - 1))
     scene, arrays = parse_scene(result.scene_text), Arrays()
-    points = np.array([result.points(k)[part.vertices] for k in steps])
-    flat, grid = places(points)
+    points = np.array([result.points(int(k)) for k in steps])
+    for k, mode in enumerate(modes, count):
+        points[k] = swing.displaced(result, mode)
+    flat, grid = places(points[:, part.vertices])
+    names = [name for name in available(result) if name not in HIDDEN and not swing.is_mode(name)]
+    fields = [_field(result, part, name, steps, arrays) for name in names]
+    if modes:
+        fields.append(_mode_field(result, part, modes, count, arrays))
+    said = [progress(result, scene, int(k)) for k in steps[:count]]
     meta: dict[str, Any] = {
         "vertices": len(part.vertices),
         "triangles": arrays.add(part.triangles.reshape(1, -1).astype("<u4")),
@@ -110,17 +125,24 @@ def _encode(result: Result, part: Part, count: int) -> Shown:
         "boundary": arrays.add(boundary_edges(part.triangles).reshape(1, -1).astype("<u4")),
         "start": _still(arrays, result.start[part.vertices], part.triangles),
         "rest": _rest(result, part, arrays),
-        "steps": [progress(result, scene, int(k)) for k in steps],
-        "fields": [
-            _field(result, part, name, steps, arrays) for name in available(result) if name not in HIDDEN
-        ],
+        "steps": [*said, *(swing.figure(result, mode) for mode in modes)],
+        "fields": fields,
         "reactions": _reactions(result, part, steps, arrays),
         "bodies": _bodies(result, steps, arrays),
         "colours": {"body": contact.BODY, "mark": contact.MARK, "arrow": contact.ARROW},
-        **_cameras(result, steps, upright(scene)),
+        **_cameras(result, steps, points, upright(scene)),
     }
     meta["maps"] = {field["map"]: _colours(field["map"]) for field in meta["fields"]}
-    return Shown(meta, arrays.text(), steps, part)
+    return Shown(meta, arrays.text(), steps, count, part)
+
+
+def opening(result: Result, field: str | None) -> dict[str, Any]:
+    """With which `field` and at which `step` of a page's it opens; None: the first mode, strain without."""
+    modes = swing.modes_of(result)
+    name = field or (modes[0] if modes else "strain")
+    if not swing.is_mode(name):
+        return {"field": name}
+    return {"field": MODE, "first": modes.index(name) - len(modes)}
 
 
 def _still(arrays: Arrays, points: Reals, triangles: Ints) -> dict[str, Any]:
@@ -156,6 +178,17 @@ def _field(result: Result, part: Part, name: str, steps: Ints, arrays: Arrays) -
         found["states"] = list(contact.STATES)
     data = arrays.add(levels(np.array(rows), low, high))
     return {**found, "low": low, "high": high, "map": colours, "data": data}
+
+
+def _mode_field(result: Result, part: Part, modes: list[str], count: int, arrays: Arrays) -> dict[str, Any]:
+    """How far each shape is displaced by its mode; nowhere at the `count` steps."""
+    rows = np.zeros((count + len(modes), len(part.vertices)))
+    for k, mode in enumerate(modes, count):
+        rows[k] = np.linalg.norm(result.field(mode)[part.vertices], axis=1)
+    (low, high), colours = colour_scale(rows)
+    found: dict[str, Any] = {"name": MODE, "title": "displacement by the mode, largest 1", "unit": ""}
+    found |= {"location": "point", "extremes": [[float(row.min()), float(row.max())] for row in rows]}
+    return {**found, "low": low, "high": high, "map": colours, "data": arrays.add(levels(rows, low, high))}
 
 
 def _colours(name: str) -> list[str]:
@@ -203,9 +236,12 @@ def _bodies(result: Result, steps: Ints, arrays: Arrays) -> list[dict[str, Any]]
     return found
 
 
-def _cameras(result: Result, steps: Ints, up: Reals) -> dict[str, Any]:
-    """Where to look from; the first is the view that pictures have."""
-    seen = [outermost(contact.framed(result.points(int(k)), contact.surfaces(result, int(k)))) for k in steps]
+def _cameras(result: Result, steps: Ints, shapes: Reals, up: Reals) -> dict[str, Any]:
+    """Where to look from to see shapes (steps, n, 3) m; the first is the view that pictures have."""
+    seen = [
+        outermost(contact.framed(x, contact.surfaces(result, int(k))))
+        for k, x in zip(steps, shapes, strict=True)
+    ]
     points = np.concatenate([outermost(result.start), *seen])
     views = {}
     for name in (None, *VIEWS):

@@ -15,6 +15,11 @@ def is_mode(field: str) -> bool:
     return re.fullmatch(r"mode_\d{3,}", field) is not None
 
 
+def modes_of(result: Result) -> list[str]:
+    """The names of its modes, in order."""
+    return sorted(filter(is_mode, result.point_fields))
+
+
 def displaced(result: Result, field: str, step: int = -1, phase: float = 1.0) -> Reals:
     """(n, 3) m: the points of a step, displaced by `phase` (-1 to 1) of what is drawn of a mode."""
     points = result.points(step)

@@ -193,7 +193,7 @@ const short = (x) => (x === 0 ? "0" : Number(x.toPrecision(4)).toString());
 
 class Viewer {
   constructor(meta, read) {
-    Object.assign(this, { meta, read, withBodies: true, state: { step: meta.steps.length - 1, field: null, shape: "step" } });
+    Object.assign(this, { meta, read, withBodies: true, state: { step: meta.steps.length + (meta.first ?? -1), field: null, shape: "step" } });
     this.triangles = read(meta.triangles);
     this.boundary = read(meta.boundary);
     this.numbers = read(meta.numbers);
