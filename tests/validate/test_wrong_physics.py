@@ -15,6 +15,21 @@ def scaled(table: str, key: str, factor: float):
     return change
 
 
+def stiffer(factor: float):
+    """Bends stiffer by a factor, E h^3, with E h and rho h as they are."""
+    root = factor**0.5
+
+    def change(scene):
+        shell = scene["shell"]
+        scene["shell"] = shell | {
+            "thickness": shell["thickness"] * root,
+            "young": shell["young"] / root,
+            "density": shell["density"] / root,
+        }
+
+    return change
+
+
 SHORT = [
     ("end-shear", "shell", "young"),
     ("end-moment", "shell", "young"),
@@ -43,3 +58,11 @@ def test_one_per_cent_is_noticed(name, table, key, factor, tmp_path):
     verdict = perform(all_protocols()[name], Bench(tmp_path, quick=True, change=scaled(table, key, factor)))
     assert not verdict.failure
     assert [check for check in verdict.checks if not check.passed]
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+@pytest.mark.parametrize("name", ["end-moment", "end-shear"])
+def test_bending_alone_that_is_one_per_cent_off_is_noticed(name, factor, tmp_path):
+    verdict = perform(all_protocols()[name], Bench(tmp_path, quick=True, change=stiffer(factor)))
+    assert not verdict.failure
+    assert not any(check.passed for check in verdict.checks)
