@@ -19,6 +19,7 @@ PATHS = {
     "load steps": ("statics", "[statics]\nload_steps = 60\n"),
     "arc length": ("statics", '[statics]\nload_steps = 60\ncontrol = "arc-length"\n'),
     "nearest shape": ("inverse", ""),
+    "panels": ("inverse", '[inverse]\ndevelopable = "panels"\n'),
 }
 KILLED = """
 [shell]
@@ -36,6 +37,7 @@ OFTEN = (
 )
 SIGNALS = signal.SIGKILL, signal.SIGTERM, signal.SIGINT
 NEAR = 1e-8  # m, between the end of a run and that of its parts
+APART = 0.02  # m, of searches on two ranks, of which no two are alike: MUMPS adds in the order in which messages come
 
 
 def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
@@ -75,7 +77,7 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
         again, said = _ran(scene, out, ranks, "--resume")
         if again != code or "Traceback" in said:
             yield Fault(what, f"{command} --resume", f"exit code {again}, a whole run {code}: {said[-400:]}")
-        elif np.abs(_end(out) - end).max() > NEAR:
+        elif np.abs(_end(out) - end).max() > (APART if task == "inverse" and ranks > 1 else NEAR):
             yield Fault(
                 what, f"{command} --resume", f"ends {np.abs(_end(out) - end).max():.1e} m off a whole run"
             )

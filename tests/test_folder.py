@@ -186,6 +186,28 @@ def test_a_signal_to_one_rank_ends_all_of_them(voile, mpirun, number):
     assert read_result(voile.folder).n_steps >= 1
 
 
+def test_a_signal_that_comes_while_something_is_freed_ends_the_run_too(voile, monkeypatch):
+    """Python swallows what is raised then, and would print it."""
+    from voile.results import ResultWriter
+
+    class Freed:
+        def __del__(self):
+            signal.raise_signal(signal.SIGTERM)
+
+    steps, write_step = [], ResultWriter.write_step
+
+    def told(self, *values, **more):
+        write_step(self, *values, **more)
+        steps.append(Freed())
+        steps[-1] = None
+
+    monkeypatch.setattr(ResultWriter, "write_step", told)
+    (voile.folder.parent / "one.toml").write_text(DYNAMICS.replace("1e3", "1.0") + SCENE)
+    code, said = voile("one")
+    assert code == 3 and said.count("\n") == 1 and "stopped by a signal" in said
+    assert len(steps) == 1 and read_result(voile.folder).n_steps == 1
+
+
 @pytest.mark.parametrize("seconds", [0.3, 0.6])
 def test_ctrl_c_at_the_start_leaves_no_traceback(voile, seconds):
     command = [

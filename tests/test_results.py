@@ -112,6 +112,23 @@ def check(result, steps):
         assert result.scalars(step) == {"newton_iterations": step}
 
 
+def test_room_is_taken_for_all_that_a_larger_file_holds(tmp_path, monkeypatch):
+    """HDF5 does not survive a full disk: what a copy with room for twice the steps takes was there before."""
+    from voile.results import writer
+
+    path, taken, rebuild = tmp_path / "result.vtkhdf", [], ResultWriter._rebuild
+    reserve = writer.reserve
+    monkeypatch.setattr(writer, "reserve", lambda part, size: (taken.append(size), reserve(part, size)))
+
+    def rebuilt(self, capacity):
+        rebuild(self, capacity)
+        assert os.stat(path).st_blocks * 512 <= taken[-1]
+
+    monkeypatch.setattr(ResultWriter, "_rebuild", rebuilt)
+    write(path, MPI.COMM_SELF, 260)
+    assert len(taken) > 5
+
+
 @pytest.mark.parametrize("steps", [1, 16, 17, 40])
 def test_round_trip(tmp_path, steps):
     path = tmp_path / "result.vtkhdf"

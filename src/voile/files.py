@@ -94,7 +94,8 @@ def lockable(path: Path) -> IO[bytes]:
     """A file that stays, to be locked, for reading and writing; made where there is none. Raises Unwritable, also for
     links."""
     try:
-        return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
+        # without a buffer: what a full disk refuses is refused once, not again when the file is closed
+        return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b", buffering=0)
     except OSError as error:
         raise Unwritable(
             f"{path}: cannot be opened ({reason(error)}); a file of voile's own expected"

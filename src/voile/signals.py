@@ -1,6 +1,7 @@
 """Signals that end a run."""
 
 import signal
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -11,8 +12,9 @@ ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
 
 @contextmanager
 def stoppable(together: bool = False) -> Iterator[list[int]]:
-    """Signals end what runs within by KeyboardInterrupt. together: they are only noted, in the list that is given, as
-    ranks must end at the same place (voile.problem.lifetime.stop_if_told)."""
+    """Signals end what runs within by KeyboardInterrupt, and are noted in the list that is given. together: noted only,
+    as ranks must end at the same place (voile.problem.lifetime.stop_if_told). There also a run of one rank ends whose
+    signal came while Python freed something, which swallows what is raised."""
     told: list[int] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -20,10 +22,16 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
         if not together:
             raise KeyboardInterrupt
 
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        if what.exc_type is not KeyboardInterrupt:
+            sys.__unraisablehook__(what)
+
+    hook, sys.unraisablehook = sys.unraisablehook, swallowed
     before = {number: signal.signal(number, stop) for number in ENDING}
     try:
         yield told
     finally:
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from voile.errors import InputError
+from voile.files import reason
 
 TEXT = "a folder with a commented scene and its meshes, to begin with"
 TEMPLATES = {
@@ -49,7 +50,9 @@ def make(folder: Path, template: str) -> None:
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{name}.") as part:
             made = Path(part) / name
             with resources.as_file(resources.files("voile") / "templates" / template) as source:
-                shutil.copytree(source, made, copy_function=shutil.copyfile)
+                made.mkdir()
+                for file in source.iterdir():
+                    shutil.copyfile(file, made / file.name)
             scene = made / "scene.toml"
             # a function: nothing in the name is taken for a reference
             title = f"name = {json.dumps(name, ensure_ascii=False)}"
@@ -59,4 +62,4 @@ def make(folder: Path, template: str) -> None:
             scene.write_text(text, encoding="utf-8")
             made.rename(folder)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+        raise InputError(f"{folder}: cannot be written: {reason(error)}") from None

@@ -20,10 +20,10 @@ _told: list[tuple[int, Sequence[int]]] = []  # their ranks, and the signals that
 def stop_if_told(comm: MPI.Comm) -> None:
     """Ends a run by KeyboardInterrupt on all of its ranks where any of them has got a signal. Collective, where ranks
     are in step anyway; it costs some microseconds."""
-    if not _told or comm.size == 1:
+    if not _told:
         return
     ranks, signals = _told[-1]
-    if comm.size == ranks and comm.allreduce(len(signals)):
+    if comm.size == ranks and (comm.allreduce(len(signals)) if ranks > 1 else signals):
         raise KeyboardInterrupt
 
 

@@ -146,13 +146,13 @@ def _claim(directory: Path, record: IO[bytes], scene: Path, text: str, force: bo
             raise InputError(
                 f"{directory}: holds results of {other!r}; allowed: another folder (-o), or --force to replace them"
             )
-    record.seek(0)
-    record.write(
-        json.dumps({"scene": name, "process": f"process {os.getpid()} on {os.uname().nodename}"}).encode()
-    )
-    record.truncate()
-    record.flush()
     try:
+        record.seek(0)
+        record.write(
+            json.dumps({"scene": name, "process": f"process {os.getpid()} on {os.uname().nodename}"}).encode()
+        )
+        record.truncate()
+        record.flush()
         reserve(part_of(directory / SUMMARY), SPARE)
     except OSError as error:
         raise InputError(

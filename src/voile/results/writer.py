@@ -51,7 +51,10 @@ if TYPE_CHECKING:
 
 CAPACITY = 16  # steps, at first
 COPY_BYTES = 1 << 26  # per piece when a file is rebuilt
-TABLES = 1 << 17  # bytes of a file's tables, generously: 40 kB with all fields and 16 steps
+# Bytes of a file's tables, generously: what HDF5 takes for all fields, and of each table for a step; the tables that
+# VTK wants beside one for each field.
+TABLES, A_TABLE, OWN_TABLES = 1 << 17, 8, 6
+PAGE = 1 << 12  # bytes, that disks give at least to whatever lies apart
 POINTS, EDGES = "VTKHDF/Points", "voile/edge_angles"
 STEPS, VALUES, OWN_VALUES = "VTKHDF/Steps", "VTKHDF/Steps/Values", "voile/values"
 
@@ -296,8 +299,10 @@ class ResultWriter:
         them are to be written at once: the disk must have room for these."""
         h5py = self._h5py
         a_step = sum(entry.rows * entry.spec.row_size for entry in self._stepped.values())
+        pages = PAGE * (OWN_TABLES + 2 * (len(static) + len(self._stepped)))
+        tables = TABLES + capacity * A_TABLE * (OWN_TABLES + len(static) + len(self._stepped)) + pages
         with told(self.path):
-            reserve(path, sum(data.nbytes for data in static.values()) + steps * a_step + TABLES)
+            reserve(path, sum(data.nbytes for data in static.values()) + steps * a_step + tables)
         path.unlink()
         with told(self.path), h5py.File(path, "x", locking=False) as file:
             head = file.create_group("VTKHDF")
