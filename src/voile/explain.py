@@ -286,7 +286,7 @@ def explain(scene: Scene, model: Model) -> str:
     lines += [f"  note: {note}" for note in model.notes]
     if MODELS[scene.shell.model].normals and not has_directors(shell.model) and _repeats_cells(shell):
         lines.append(
-            f"  note: bending = {scene.shell.bending!r} may settle some per cent off on this mesh of repeated cells; "
+            f"  note: bending = {scene.shell.bending!r} need not converge on meshes of repeated cells such as this; "
             "'tan' converges"
         )
     if "bending" in kept and not has_directors(shell.model):
