@@ -121,7 +121,9 @@ def test_safe_hessian(model):
     at_rest = np.concatenate([shell.rest.ravel(), np.zeros(shell.size - shell.rest.size)])
     exact = shell.hessian(at_rest)
     assert abs(shell.hessian(at_rest, "safe") - exact).max() < 1e-11 * abs(exact).max()
-    assert abs(safe - shell.hessian(z)).max() > 1e-3 * high
+    # A tension field alone is convex: what its stress bears is positive semidefinite as it is.
+    apart = abs(safe - shell.hessian(z)).max() / high
+    assert apart < 1e-14 if model[0] == "membrane" and model[2] == "tension-field" else apart > 1e-3
 
 
 def test_a_membrane_couples_neighbours_only():

@@ -108,6 +108,26 @@ VOILE_INLINE void fill_directors(const Block& block, const Real h[21], const Vec
     }
 }
 
+// The tensile part of a triangle's geometric stiffness, sum_i t_i |du_i|^2 over edges: the stress sum_i t_i
+// e_i e_i^T without its negative principal stress. Negative t_i alone say nothing: a pull across no edge has
+// some, too. A metric of slivers serves as well as theirs: whatever it is, no less than the stiffness is
+// left, and no negative one.
+VOILE_INLINE void tensile(const Vec3 e[3], Real t[3]) {
+  Real a = sqrt(max(dot(e[1], e[1]), Real(1e-300))), b = dot(e[1], e[2]) / a;
+  Real c = max(sqrt(max(dot(e[2], e[2]) - b * b, Real(0.0))), Real(1e-6) * a);
+  Real m = t[1] + t[0], n = t[2] + t[0];  // sum_i t_i d_i^2 = m d_1^2 + 2 t_0 d_1 d_2 + n d_2^2
+  Real x = m * a * a + Real(2.0) * t[0] * a * b + n * b * b, z = n * c * c, y = (t[0] * a + n * b) * c;
+  // With S = (x y; y z): (S + |S|)/2, where |S| = (S^2 + |det S|)/sqrt(tr S^2 + 2 |det S|).
+  Real det = x * z - y * y, size = max(det, -det);
+  Real root = sqrt(max(x * x + Real(2.0) * y * y + z * z + Real(2.0) * size, Real(1e-300)));
+  Real p = Real(0.5) * (x + (x * x + y * y + size) / root),
+       r = Real(0.5) * (z + (z * z + y * y + size) / root);
+  Real q = Real(0.5) * y * (Real(1.0) + (x + z) / root);
+  t[0] = (q - b / c * r) / (a * c);
+  t[1] = (p - Real(2.0) * b / c * q + b * b / (c * c) * r) / (a * a) - t[0];
+  t[2] = r / (c * c) - t[0];
+}
+
 // Upper blocks of the triangles' Hessians in the layout of scatter.hpp. tension: dW/dl of the geometric part;
 // folds: null leaves the fold's part out.
 template <class Model>

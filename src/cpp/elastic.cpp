@@ -226,7 +226,7 @@ class ElasticModel final : public Elastic {
       for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
       if (safe) {
         project_positive<Model::bends ? 6 : 3>(jet.h);
-        for (auto& t : tension) t = max(t, Real(0.0));
+        tensile(w.t.e, tension);
       }
       if constexpr (Model::bends) {
         if (!safe) {

@@ -34,7 +34,7 @@ def test_wrinkles_that_the_mesh_resolves(model):
     """St. Venant-Kirchhoff cloth must fold: on coarse meshes too stiff, rising towards the tension field's height."""
     (coarse, above, _), (fine, below, path) = (inflate(n, model, "stvk") for n in (8, 16))
     assert 0.17 < coarse < fine < HEIGHT and path.stable
-    assert below < above
+    assert below < 0.99 * above  # of many minima, which scatter by under 1 %
 
 
 @pytest.mark.slow

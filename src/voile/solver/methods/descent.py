@@ -1,14 +1,13 @@
 """Newton's method on a potential: a line search along directions of a positive definite matrix.
 
-The matrix is the exact Hessian where the inertia of its factorisation says that it is positive definite, else the
-kernels' positive semidefinite one. Without contact, after a whole step with the former, a mixed tangent (see
-mixed_newton) serves where it is positive definite: a cloth of 4,225 vertices takes 6 iterations with it, 20 without.
-Where steps stay short, a multiple of the mass is added (one step of pseudo-transient continuation), which fades as
-the steps recover. Where whole steps with the safe matrix creep off a saddle, the exact Hessian with the least such
-multiple that makes it positive definite replaces it: its directions grow along negative curvature (Nocedal & Wright
-2006, 3.4). The line search demands sufficient decrease of the potential; where round-off hides the decrease, or the
-loads have no potential, it looks at the slope instead (Hager & Zhang 2005, approximate Wolfe conditions). SNES prefix
-descent_, in pseudo-time transient_.
+The matrix is the exact Hessian where the inertia of its factorisation says that it is positive definite. Else it is
+blended with the kernels' positive semidefinite one (`safe`), of which no larger a share is taken than makes it positive
+definite: by itself that one is far stiffer than the way off a saddle. Without contact, after a whole step with the
+exact Hessian, a mixed tangent (see mixed_newton) serves where it is positive definite: a cloth of 4,225 vertices takes
+6 iterations with it, 20 without. Where steps stay short, a multiple of the mass is added (one step of pseudo-transient
+continuation), which fades as the steps recover. The line search demands sufficient decrease of the potential; where
+round-off hides the decrease, or the loads have no potential, it looks at the slope instead (Hager & Zhang 2005,
+approximate Wolfe conditions). SNES prefix descent_, in pseudo-time transient_.
 """
 
 from collections.abc import Callable
@@ -33,23 +32,35 @@ class Options:
     which on a longer one is tried (their curvature condition). shortest: relative step length at which the search gives
     up. patience: steps after which an indefinite exact Hessian is tried again at most; near the end it is what
     converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
-    watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds. creeping: whole steps, some of
-    them lengthened, that leave more than `little` of the residual creep: a taut sheet about to wrinkle took over 7000
-    factorisations, now 300; drapes seldom do. highest: least shift over the slow rate that is still tried; beyond it
-    the safe matrix is as good. tries: factorisations a step spends on it."""
+    watchdog. shift: of the mass (1/s^2), always added: for a shell that nothing holds. stiffer: times the share
+    of the safe matrix where a blend is not positive definite; hold: whole steps before the next lower share is tried
+    then. Of 2 to 4 and 0 to 3 these took the fewest factorisations of a skirt (273; 290 with 3 and 0). least: share
+    under which the exact Hessian is as likely to serve."""
 
     iterations: int = 500
     sufficient: float = 1e-4
     steep: float = 0.5
     shortest: float = 1e-10
-    patience: int = 2
+    patience: int = 4
     noise: float = 1e-11
     mixed_steps: int = 5
     shift: float = 0.0
-    creeping: int = 4
-    little: float = 0.3
-    highest: float = 1e4
-    tries: int = 2
+    stiffer: float = 4.0
+    hold: int = 3
+    least: float = 0.01
+
+
+def shorter(length: float, predicted: float, decrease: float) -> float:
+    """The share of a step of `length` whose potential is least, by what the whole one changed (J). Along a Newton
+    direction it is predicted (s - length s^2/2) + c s^4: what bends an inextensible shell stretches it by s^2."""
+    slope, c = abs(predicted), decrease - predicted * (1.0 - 0.5 * length)
+    if not c > 0.0:
+        return 0.5
+    share = float(min(1.0 / length, np.cbrt(slope / (4.0 * c))))  # above the root Newton's method is monotone
+    for _ in range(10):
+        rest = slope * (length * share - 1.0) + 4.0 * c * share**3
+        share -= rest / (slope * length + 12.0 * c * share**2)
+    return share
 
 
 class Descent:
@@ -99,24 +110,22 @@ class Iterate:
         self.method, self.work, self.options = method, method.work, method.options
         self.steps: list[Step] = []
         self.shift = 0.0  # 1/s^2 of mass added while steps are short
-        self._wait = self._patience = (
-            0  # steps until the exact Hessian is tried again; until then when it fails
-        )
+        self._wait = 0  # steps until the exact Hessian is tried again
+        self._share = 1.0  # of the safe matrix in its stead
+        self._hold = 0  # whole steps until a lower one is tried
         self.forget()
-        self._grows = False  # whether it gave the last direction
         self._mixed = False  # whether a mixed tangent may replace the exact Hessian
 
     def forget(self) -> None:
         """Drops what former solves have taught."""
         self._rest = self._pause = 0  # steps until, and between, watchdogs
-        self._least = 0.0  # 1/s^2 of mass that last made the exact Hessian positive definite
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
         problem = self.problem = self.method.nonlinear.problem
         residual, direction, stall = snes.getFunction()[0], y.duplicate(), Stall()
         trial, trial_residual = y.duplicate(), y.duplicate()
-        self.steps, self.shift, self._wait, self._patience, self._grows = [], 0.0, 0, 1, False
+        self.steps, self.shift, self._wait, self._share, self._hold = [], 0.0, 0, 1.0, 0
         self._mixed = False
         snes.computeFunction(y, residual)
         energy, norm = self._energy(y), residual.norm()
@@ -145,6 +154,8 @@ class Iterate:
             trial_residual.copy(residual)
             energy, norm = new_energy, residual.norm()
             self._adapt(length)
+            if not exact:
+                self._soften(length)
             self.steps.append(Step(it, norm, energy, length, exact, self.shift))
             reason = test(snes, it, y, direction, norm)
             if not reason and self.method.settled and self.method.settled(self.steps):
@@ -201,46 +212,26 @@ class Iterate:
             for kind in ("mixed", "exact") if self._mixed else ("exact",):
                 slope = self._slope(self._factor(y, kind), residual, direction)
                 if slope is not None:
-                    self._patience = 1
                     return True, slope
-            self._wait = self._patience = min(2 * self._patience, self.options.patience)
-        self._grows, slope = self._creeps(), None
-        if self._grows:
-            slope = self._off_saddle(y, residual, direction)
-        if slope is not None:
-            return True, slope
-        self._grows = False
+            # One after the other passes zero.
+            self._wait = min((self.work.symmetric.negative or 2).bit_length(), self.options.patience)
         while True:
             slope = self._slope(self._factor(y, "safe"), residual, direction)
-            if slope is not None or not self._regularise():
+            if slope is not None or not (self._stiffen() or self._regularise()):
                 return False, slope
 
-    def _creeps(self) -> bool:
-        """Whether the last steps were whole, lengthened even, and hardly lowered the residual."""
-        last = self.steps[-self.options.creeping :]
-        if self._grows and last[-1].length >= 0.5:
-            return True
-        return (
-            len(last) == self.options.creeping
-            and all(step.length >= 1.0 for step in last)
-            and any(step.length > 1.0 for step in last[1:])
-            and last[-1].residual > self.options.little * last[0].residual
-        )
+    def _stiffen(self) -> bool:
+        """Raises the share of the safe matrix; False where it is the whole."""
+        if self._share == 1.0:
+            return False
+        self._share, self._hold = min(1.0, self.options.stiffer * self._share), self.options.hold
+        return True
 
-    def _off_saddle(self, y: PETSc.Vec, residual: PETSc.Vec, direction: PETSc.Vec) -> float | None:
-        """A direction of the exact Hessian with the least shift found; the slope along it, None without one."""
-        first = slow_rate(self.problem)
-        self._least = max(self._least, first)
-        for attempt in range(self.options.tries):
-            if self._least > self.options.highest * first:
-                return None
-            linear = factor(self.work, self.problem, y, "exact", self._shift() + self._least)
-            slope = self._slope(linear, residual, direction)
-            if slope is not None:
-                self._least *= 0.3 if attempt == 0 else 1.0
-                return slope
-            self._least *= 10.0
-        return None
+    def _soften(self, length: float) -> None:
+        """Lowers that share after a whole step, more where a longer one was better."""
+        if length > 1.0 or (length == 1.0 and self._hold <= 0):
+            self._share = max(self.options.least, self._share * (0.25 if length > 1.0 else 0.5))
+        self._hold -= 1
 
     def _slope(self, linear: LinearSolver, residual: PETSc.Vec, direction: PETSc.Vec) -> float | None:
         """That of the potential along the direction (J); None where the matrix gives no descent direction."""
@@ -253,7 +244,7 @@ class Iterate:
         return slope if descends else None
 
     def _factor(self, y: PETSc.Vec, kind: str) -> LinearSolver:
-        linear = factor(self.work, self.problem, y, kind, self._shift())
+        linear = factor(self.work, self.problem, y, kind, self._shift(), self._share)
         if kind != "safe" and self._shift() == 0.0:
             self.method.negative = linear.negative if kind == "exact" else None
         return linear
@@ -306,8 +297,7 @@ class Iterate:
                     new_slope, slope, trial_residual.norm(), norm
                 ):
                     return length, new
-            guess = -0.5 * predicted * length / (decrease - predicted) if decrease > predicted else 0.0
-            length = min(max(guess, 0.1 * length), 0.5 * length)
+            length *= min(max(shorter(length, predicted, decrease), 0.1), 0.5)
         return 0.0, energy
 
     def _lengthen(

@@ -49,11 +49,22 @@ class Skewed:
         self.problem.add_skew(x, y)
 
 
-def factor(work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float = 0.0) -> LinearSolver:
-    """The tangent at y, with a multiple of the mass (1/s^2), factored. Systems are solved with its skew part, too,
-    where loads have no potential."""
+def factor(
+    work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float = 0.0, share: float = 1.0
+) -> LinearSolver:
+    """The tangent at y, with a multiple of the mass (1/s^2), factored; of a safe one that share, the rest exact.
+    Systems are solved with its skew part, too, where loads have no potential."""
     matrix = work.matrix
     problem.tangent(y, matrix, kind, shift=shift)
+    if kind == "safe" and share < 1.0:
+        safe = matrix.duplicate(copy=True)
+        coupled = matrix.getAttr("coupled")
+        problem.tangent(y, matrix, "exact", shift=shift)
+        matrix.scale(1.0 - share)
+        structure = PETSc.Mat.Structure
+        same = matrix.getAttr("coupled") == coupled  # else it has grown
+        matrix.axpy(share, safe, structure.SAME_NONZERO_PATTERN if same else structure.SUBSET_NONZERO_PATTERN)
+        safe.destroy()
     operator = matrix
     if not problem.conservative:
         operator = PETSc.Mat().createPython(matrix.getSizes(), Skewed(problem, matrix), matrix.comm)
