@@ -7,16 +7,25 @@ from pathlib import Path
 import pytest
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
-CASES = {"results": 40, "patterns": 40, "meshes": 36, "scenes": 40, "tears": 2}
+# count, seed; that of kills ends load steps on one rank and on two
+CASES = {
+    "results": (40, 1),
+    "patterns": (40, 1),
+    "meshes": (36, 1),
+    "scenes": (40, 1),
+    "tears": (2, 1),
+    "kills": (2, 36),
+}
 
 
 def ran(*words):
     return subprocess.run([sys.executable, *words], capture_output=True, text=True, timeout=900)
 
 
-@pytest.mark.parametrize(("what", "count"), CASES.items())
-def test_no_damage_hurts(what, count):
-    done = ran(SCRIPTS / "campaign", what, "--count", str(count), "--seed", "1")
+@pytest.mark.parametrize("what", CASES)
+def test_no_damage_hurts(what):
+    count, seed = CASES[what]
+    done = ran(SCRIPTS / "campaign", what, "--count", str(count), "--seed", str(seed))
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 from shells import make
 
+import voile
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.solver.statics import StaticsOptions, solve_statics
@@ -48,3 +49,25 @@ def test_loads_that_round_off_hides_are_refused(load):
     _, path, _ = solved(load)
     assert not path.converged and not path.steps
     assert re.search(r"misses .* round-off is \S+ N", path.reason)
+
+
+def test_where_round_off_ends_a_run_is_kept():
+    """The message names the key that helps; the last step stored is the iterate, at its load factor, not converged."""
+    u, v, triangles, _ = mapped(4, 4, "crossed")
+    points = np.column_stack([u, v, np.zeros(len(u))])
+    ends = ({"select": {"box": [[x - 0.001, -1, -1], [x + 0.001, 2, 1]]}} for x in (0.0, 1.0))
+    scene = {
+        "shell": {
+            "mesh": (points, triangles), "rest": (points / [1.1, 1.05, 1.0], triangles), "young": 1e9,
+            "thickness": 1e-3, "density": 1e-12,
+        },
+        "statics": {"load_steps": 1},
+        "fix": list(ends),
+    }  # fmt: skip
+    with pytest.raises(voile.NotConverged, match=r"statics\.tolerance.* at load factor") as told:
+        voile.run(scene)
+    result = told.value.result
+    assert result.n_steps == 1 and f"at load factor {result.values[0]:g};" in f"{told.value};"
+    moved = np.abs(result.points() - points).max(axis=0)
+    assert 0.01 < moved[1] < 0.1  # between its ends the sheet is as wide as its rest shape lets it
+    assert result.summary["load_factor"] == 0.0 and not result.summary["converged"]

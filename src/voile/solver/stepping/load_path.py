@@ -102,7 +102,7 @@ class LoadPath:
                 path.blurred = self._blurred(outcome)
                 self.problem = problem.at(control.factor)
                 if not self._retry(outcome):
-                    path.reason = f"{outcome.reason}; at load factor {control.target:g}"
+                    path.reason = f"{outcome.reason}; at load factor {problem.time:g}"
                     return
                 continue
             if problem.contact:
