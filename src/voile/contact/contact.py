@@ -16,12 +16,12 @@ import numpy as np
 
 from voile.arrays import Flags, Ints, Reals
 from voile.contact.crossing import entries
-from voile.contact.directions import unit
+from voile.contact.directions import lengths, unit
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
 from voile.contact.obstacle import Obstacle
-from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer
+from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer, within
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
@@ -58,7 +58,7 @@ class Contact(NaturalMap):
         time `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
         (m): the shell's; touching: sizes that no depth is."""
         start, way = time.perf_counter(), moved - x
-        length, inside = np.linalg.norm(way, axis=1), np.zeros(len(x), dtype=bool)
+        length, inside = lengths(way), np.zeros(len(x), dtype=bool)
         for k in range(len(self.obstacles)):
             ends_here = self.gap(k, moved, ended) < CLEAR * size
             depth = touching * size + SLID * length * ends_here
@@ -73,7 +73,7 @@ class Contact(NaturalMap):
         start, found = time.perf_counter(), np.zeros(len(x), dtype=bool)
         for k, obstacle in enumerate(self.obstacles):
             begin, end = obstacle.way(x, began, moved, ended)
-            length, offset = np.linalg.norm(end - begin, axis=1), np.asarray(self.offset)[k]
+            length, offset = lengths(end - begin), np.asarray(self.offset)[k]
             going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
 
             def gap(
@@ -94,12 +94,22 @@ class Contact(NaturalMap):
 
     def energy(self, x: Reals, t: float, softness: float = 1.0) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
-        total = 0.0
-        for p in self.pairs(x, t, softness, frozen=True):
-            size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
-            stuck = np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-            laws = (0.5 * np.maximum(p.lam_n, 0.0) ** 2 + stuck) / p.rho
-            total += float((laws + self.guard(p)[0])[self.counted(p)].sum())
+        began, total = time.perf_counter(), 0.0
+        for k, partner in enumerate(self.partners):
+            rho = self.rho(k, softness)
+            wide, rows, gap = self.near(k, x, t, rho, True)
+            s = self.history
+            laws = 0.5 * np.maximum(s.normal[k][rows] - rho * gap, 0.0) ** 2
+            rubs = s.tresca[k][rows] > 0.0
+            if rubs.any():
+                these = rows[rubs]
+                moved = partner.moved(these, s.frozen_weight[k][these], wide, t, s)
+                trial = within(s.frozen_normal[k][these], s.friction[k][these] - rho * moved)
+                size, bound = lengths(trial), s.tresca[k][these]
+                laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
+            laws = laws / rho + self.keeps_apart(k, rows, gap, rho)[0]
+            total += float(laws[partner.counted(rows, s)].sum())
+        self.seconds += time.perf_counter() - began
         return total
 
     def force(self, x: Reals, t: float, frozen: bool, softness: float = 1.0) -> Reals:
@@ -120,7 +130,7 @@ class Contact(NaturalMap):
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
             if not convex:
                 block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
-            size, bound = np.linalg.norm(p.lam_t, axis=1), self._bounds(p, True)
+            size, bound = lengths(p.lam_t), self._bounds(p, True)
             slips = size > bound
             share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
             normal = self.history.frozen_normal[p.index][p.row]
@@ -150,7 +160,7 @@ class Contact(NaturalMap):
             rows = np.flatnonzero(s.tresca[k] > 0.0)
             if len(rows):
                 g = partner.geometry(rows, wide, t, s)
-                gradient_norm = np.linalg.norm(g.gradient, axis=1)
+                gradient_norm = lengths(g.gradient)
                 s.frozen_normal[k][rows] = g.gradient / gradient_norm[:, None]
                 s.frozen_weight[k][rows] = g.weight
                 s.tresca[k][rows] *= gradient_norm

@@ -8,9 +8,15 @@ NOWHERE = 1e-12  # of a vector's length: parts of it shorter than this are round
 TINY = 1e-12  # m: least radius of curvature, keeps Hessians finite at centres and axes
 
 
+def lengths(vectors: Reals) -> Reals:
+    """(n,) of rows; a third of the time of numpy's norm where they are few."""
+    found: Reals = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
+    return found
+
+
 def unit(vectors: Reals, otherwise: Reals, least: Reals | float = 0.0) -> tuple[Reals, Reals]:
     """Lengths (n,) and directions (n, 3) of vectors; `otherwise` (3,) or (n, 3) for those not longer than `least`."""
-    length = np.linalg.norm(vectors, axis=1)
+    length = lengths(vectors)
     some = length > least
     return length, np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
 
@@ -33,5 +39,7 @@ def radial(d: Reals, axis: Reals) -> tuple[Reals, Reals, Reals]:
     z = d @ axis
     across = d - z[:, None] * axis
     across -= (across @ axis)[:, None] * axis  # once more: near the axis the first difference is round-off
-    r, e = unit(across, perpendicular(axis), NOWHERE * np.linalg.norm(d, axis=1))
-    return z, r, e
+    r, least = lengths(across), NOWHERE * lengths(d)
+    if (r > least).all():
+        return z, r, across / r[:, None]
+    return z, *unit(across, perpendicular(axis), least)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile.arrays import Ints, Reals
+from voile.contact.directions import lengths
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import Pairs, outer, times, within
 
@@ -22,7 +23,7 @@ class Equations:
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
         self.friction = within(p.unit, s.friction[p.index][p.row])
-        size = np.maximum(np.linalg.norm(p.lam_t, axis=1), 1e-300)
+        size = np.maximum(lengths(p.lam_t), 1e-300)
         bound = self.mu * p.gradient_norm * np.maximum(p.lam_n, 0.0)
         self.stick = self.active & (fresh | (size <= bound)) & (self.mu > 0.0)
         self.slips = self.active & ~self.stick

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,7 +23,7 @@ class Motion:
     rotation: Reals = field(default_factory=_zeros)
     center: Reals = field(default_factory=_zeros)
 
-    @property
+    @cached_property
     def moves(self) -> bool:
         """Whether the body is ever elsewhere than at t = 0."""
         return bool(np.any(self.displacement) or np.any(self.rotation))

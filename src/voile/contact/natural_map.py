@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from voile.arrays import Array, Flags, Ints, Reals
+from voile.contact.directions import lengths
 from voile.contact.history import History, blank
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.obstacle import Obstacle
@@ -130,21 +131,27 @@ class NaturalMap:
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
-    def _near(self, k: int, x: Reals, t: float, softness: float, frozen: bool) -> Pairs | None:
+    def near(self, k: int, x: Reals, t: float, rho: float, frozen: bool) -> tuple[Reals, Ints, Reals]:
+        """Positions that partner k sees, its rows that may carry a reaction, and their gaps (m)."""
         partner, wide = self.partners[k], self.partners[k].gather(x)
         if isinstance(partner, SelfContact):
             self.history = partner.renewed(wide, self.history, k)
         s = self.history
         gap = partner.gaps(wide, t, s)
-        rho = self.rho(k, softness)
         near = s.normal[k] - rho * gap >= -rho * self.touch
         if frozen:
             near |= (s.tresca[k] > 0.0) & np.isfinite(gap)
         rows = np.flatnonzero(near & partner.movable(s))
+        return wide, rows, gap[rows]
+
+    def _near(self, k: int, x: Reals, t: float, softness: float, frozen: bool) -> Pairs | None:
+        partner, rho = self.partners[k], self.rho(k, softness)
+        wide, rows, _ = self.near(k, x, t, rho, frozen)
         if not len(rows):
             return None
+        s = self.history
         g = partner.geometry(rows, wide, t, s)
-        gradient_norm = np.linalg.norm(g.gradient, axis=1)
+        gradient_norm = lengths(g.gradient)
         unit = g.gradient / gradient_norm[:, None]
         normal, weight = (s.frozen_normal[k][rows], s.frozen_weight[k][rows]) if frozen else (unit, g.weight)
         d = partner.moved(rows, weight, wide, t, s)
@@ -161,21 +168,25 @@ class NaturalMap:
 
     def project(self, p: Pairs, frozen: bool = False) -> tuple[Reals, Reals]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
-        size = np.linalg.norm(p.lam_t, axis=1)
+        size = lengths(p.lam_t)
         bound = self._bounds(p, frozen)
         share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
         return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
 
     def guard(self, p: Pairs) -> Reals:
-        """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way: none
-        where the laws hold."""
-        if p.index < len(self.obstacles) or self.itself is None:
-            return np.zeros((3, len(p.row)))
-        return BARRIER * p.rho * barrier(p.gap, self.history.candidates.min_distance[p.row])
+        """`keeps_apart` of pairs."""
+        return self.keeps_apart(p.index, p.row, p.gap, p.rho)
+
+    def keeps_apart(self, k: int, rows: Ints, gap: Reals, rho: float) -> Reals:
+        """(3, p) potential (J), push (N) and stiffness (N/m) of the barrier that keeps layers apart on the way, of the
+        rows of partner k and their gaps (m): none where the laws hold."""
+        if k < len(self.obstacles) or self.itself is None:
+            return np.zeros((3, len(rows)))
+        return BARRIER * rho * barrier(gap, self.history.candidates.min_distance[rows])
 
     def slips(self, p: Pairs) -> Flags:
         """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
-        beyond = np.linalg.norm(p.lam_t, axis=1) > self._bounds(p, False)
+        beyond = lengths(p.lam_t) > self._bounds(p, False)
         found: Flags = (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
         return found
 

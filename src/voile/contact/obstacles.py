@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from voile.arrays import Ints, Reals
-from voile.contact.directions import NOWHERE, TINY, normalised, perpendicular, radial, unit
+from voile.contact.directions import NOWHERE, TINY, lengths, normalised, perpendicular, radial, unit
 from voile.contact.field import DistanceField, check_inside, distance_field
 from voile.contact.frames import Frames, frame_files
 from voile.contact.motion import Motion
@@ -63,7 +63,7 @@ class Sphere(Obstacle, shape="sphere"):
         return r - self.radius, n, (np.eye(3) - outer(n, n)) / np.maximum(r, TINY)[:, None, None]
 
     def distance(self, p: Reals) -> Reals:
-        found: Reals = np.linalg.norm(p - self.center, axis=1) - self.radius
+        found: Reals = lengths(p - self.center) - self.radius
         return found
 
     def surface(self, bounds: Reals) -> Triangles:
@@ -246,9 +246,7 @@ class Box(Obstacle, shape="box"):
         beyond = np.abs(d) - self.sizes
         far, out = unit(side * np.maximum(beyond, 0.0), np.array([0.0, 0.0, 1.0]))
         nearest = np.argmax(beyond, axis=1)
-        inside = far <= NOWHERE * np.linalg.norm(
-            d, axis=1
-        )  # on the surface too: there `out` has no direction
+        inside = far <= NOWHERE * lengths(d)  # on the surface too: there `out` has no direction
         face = np.zeros_like(d)
         face[np.arange(len(d)), nearest] = side[np.arange(len(d)), nearest]
         n = np.where(inside[:, None], face, out)
@@ -259,8 +257,8 @@ class Box(Obstacle, shape="box"):
     def distance(self, p: Reals) -> Reals:
         d = p - self.center
         beyond = np.abs(d) - self.sizes
-        far = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-        return np.where(far <= NOWHERE * np.linalg.norm(d, axis=1), beyond.max(axis=1), far)
+        far = lengths(np.maximum(beyond, 0.0))
+        return np.where(far <= NOWHERE * lengths(d), beyond.max(axis=1), far)
 
     def surface(self, bounds: Reals) -> Triangles:
         """Corners of their own on every face, so that shading shows the edges."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile.arrays import Ints, Reals
+from voile.contact.directions import lengths
 
 FREE, STICK, SLIP = 0, 1, 2
 PENALTY = 1e5  # times rho: stiffness by which the equations eliminate the reactions; refinement leaves no trace of it
@@ -109,7 +110,7 @@ def within(normal: Reals, v: Reals) -> Reals:
 def margin(normal: Reals, tangential: Reals, friction: float | Reals) -> Reals:
     """(p,) share of friction's bound that reactions, normal (p,) and tangential (p, 3) N, leave: 1 without any, 0
     where it slips, as all active contacts without friction do."""
-    bound, size = friction * normal, np.linalg.norm(tangential, axis=1)
+    bound, size = friction * normal, lengths(tangential)
     used = np.divide(size, bound, out=np.ones(len(size)), where=bound > 0.0)
     left = np.maximum(1.0 - used, 0.0)  # what slips meets its bound to round-off only
     return np.where(normal > 0.0, left, 1.0)

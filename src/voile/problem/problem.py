@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -182,7 +183,7 @@ class Problem:
         parts: dict[str, float] = {}
         for term in self.terms:
             parts |= term.energies(at)
-        values = self.comm.allreduce(np.array(list(parts.values()))) + 0.0  # not -0.0
+        values = self.reduced(np.array(list(parts.values()))) + 0.0  # not -0.0
         return dict(zip(parts, values, strict=True))
 
     def energy(self, y: PETSc.Vec) -> float:
@@ -320,7 +321,7 @@ class Problem:
 
     def norm(self, own: Reals) -> float:
         """Norm of a vector of unknowns given by each rank's own."""
-        return float(np.sqrt(self.comm.allreduce(float(own @ own))))
+        return float(np.sqrt(self.reduced(float(own @ own))))
 
     def longest_step(self, y: PETSc.Vec, direction: PETSc.Vec) -> float:
         """Length of a step over a direction of the unknowns, at most 1, that all terms admit: no layer of the shell
@@ -328,12 +329,16 @@ class Problem:
         first."""
         at, step, most = self.point(y), np.concatenate(self.layout.spread(direction)), 1.0
         for term in reversed(self.terms):
-            most = self.comm.allreduce(term.longest_step(at, step, most), op=MPI.MIN)
+            most = self.reduced(term.longest_step(at, step, most), MPI.MIN)
         return most
+
+    def reduced(self, here: Any, by: MPI.Op = MPI.SUM) -> Any:
+        """What all ranks have here, reduced. One rank by itself asks nobody: mpi4py takes 0.04 ms for it."""
+        return here if self.comm.size == 1 else self.comm.allreduce(here, op=by)
 
     def everywhere(self, here: bool) -> bool:
         """Whether something holds on all ranks."""
-        return bool(self.comm.allreduce(here, op=MPI.LAND))
+        return bool(self.reduced(here, MPI.LAND))
 
     def largest_motion(self, direction: PETSc.Vec) -> float:
         """Largest displacement component of a direction of the unknowns over the shell's size."""
@@ -341,7 +346,7 @@ class Problem:
 
     def in_sizes(self, lengths: Reals) -> float:
         """Largest of all ranks' lengths (m), whatever their sign, over the shell's size."""
-        return float(self.comm.allreduce(float(np.abs(lengths).max(initial=0.0)), op=MPI.MAX)) / self._length
+        return float(self.reduced(float(np.abs(lengths).max(initial=0.0)), MPI.MAX)) / self._length
 
     def thickness(self) -> float:
         """Mean thickness (m)."""

@@ -101,7 +101,7 @@ class PseudoTransient:
                     return self._failed("no way off a saddle")
                 growth = kick(self.work, problem, y, saddle, self.perturbation, kicks)
                 if growth <= NEUTRAL * slow:
-                    return Outcome(True, self.name)
+                    return Outcome(True, self.name, watched=self.watches)
                 kicks, rate, peak, saddle = kicks + 1, 2.0 * growth, 0.0, None
             before = problem.save(y)
             if slips:
