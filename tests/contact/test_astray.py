@@ -42,6 +42,13 @@ def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(tmp_path):
     assert first.contact["max_penetration"] < 1e-10
 
 
+def test_a_spin_about_a_corner_is_followed_once(tmp_path):
+    """A neutral end of steps that do not lead through the drum is not made again: 3491 factorisations before."""
+    path, _ = solved(59, tmp_path)
+    assert path.converged and path.stable
+    assert path.counts.factorisations < 2600 and len(path.steps) == 10
+
+
 def test_supports_that_fold_the_shell_over_are_told_at_once(tmp_path):
     """Edges that meet in one load step leave no shape: no method begins, and shorter steps are taken."""
     path, _ = solved(29, tmp_path)
