@@ -12,10 +12,12 @@ from shapes import standing_strip
 from shells import pulled_cylinder
 from vibrating import own_weight
 
+import voile
 from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
 from voile.solver.stepping.arc_length import solve_arc
+from voile.validate.shells import mapped
 
 
 class Curve:
@@ -159,3 +161,42 @@ def test_a_strip_on_edge_buckles_sideways():
     other = Problem(shell, MPI.COMM_SELF)
     bent = np.abs(other.local(require(solve_statics(other)).state)[0])
     np.testing.assert_allclose(leaning, bent, rtol=0, atol=1e-6)
+
+
+def test_the_branch_of_a_shallow_arch_is_closed():
+    """Pinned, under a load like its shape: its sideways branch leaves at rise^2 - a^2 = 4, a^2 = 5, where the load is
+    rise + 3 a, and comes round; rise and height a over twice the radius of gyration."""
+    rise, size, n = 3.0, 0.01, 24
+    gyration = size / np.sqrt(12.0)
+    u, v, triangles, _ = mapped(n, 2, "crossed")
+    points = np.column_stack([u, 0.05 * v, rise * 2.0 * gyration * np.sin(np.pi * u)])
+    unit = 1e9 * 0.05 * size**3 / 12.0 * np.pi**4 * 2.0 * gyration / (2 * n)  # N on each line of vertices
+    lines = [np.flatnonzero(np.abs(u - k / (2 * n)) < 1e-9) for k in range(2 * n + 1)]
+    force = [
+        {
+            "select": {"nodes": line.tolist()},
+            "share": "vertices",
+            "value": [0.0, 0.0, -unit * np.sin(np.pi * u[line[0]])],
+        }
+        for line in lines[1:-1]
+    ]
+    scene = {
+        "shell": {
+            "mesh": (points, triangles),
+            "young": 1e9,
+            "poisson": 0.0,
+            "thickness": size,
+            "density": 1.0,
+        },
+        "loads": {"gravity": [0.0, 0.0, 0.0], "force": force},
+        "fix": [
+            {"select": {"nodes": [*lines[0].tolist(), *lines[-1].tolist()]}},
+            {"select": {"all": True}, "axes": "y"},
+        ],
+        "statics": {"control": "arc-length", "max_load_factor": 15.0, "branch": 1},
+    }
+    summary = voile.run(scene).summary
+    found = [point["load_factor"] for point in summary["bifurcations"]]
+    assert found == pytest.approx([rise + 3.0 * a for a in np.sqrt(5.0) * np.array([1, -1, 1])], rel=5e-3)
+    assert found[2] == pytest.approx(found[0], rel=1e-4)
+    assert "closed" in summary["reason"] and summary["steps"] < 100

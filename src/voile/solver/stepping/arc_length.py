@@ -136,9 +136,19 @@ class ArcPath:
         self.path.stable = None if there.negative is None else there.negative == 0
         return True
 
+    def _closed(self, origin: Place, here: Place, there: Place) -> bool:
+        """Whether a step passes where the path, or its branch, began: from there on it would repeat itself."""
+        arc = self.arc
+        passed = arc.along(origin, here) < 0.0 <= arc.along(origin, there)
+        if not passed or arc.norm(arc.between(origin, there)) > 2.0 * arc.norm(arc.between(here, there)):
+            return False
+        self.path.converged, self.path.reason = True, "the path is closed: it is back where it began"
+        self.path.stable = None if there.negative is None else there.negative == 0
+        return True
+
     def _go(self, here: Place) -> None:
         """From place to place until the end."""
-        path, options, first, length = self.path, self.options, self.first, self.length
+        path, options, first, length, origin = self.path, self.options, self.first, self.length, here
         if self._ended(here):
             return
         while path.attempts < self.asked.max_steps:
@@ -153,11 +163,12 @@ class ArcPath:
             left = self._pass(here, there)
             if left:
                 here, length = left
+                origin = here
                 self._keep(here, "branch")
                 self._pause(here, length)
                 continue
             self._keep(there, "arc-length")
-            if self._ended(there):
+            if self._ended(there) or self._closed(origin, here, there):
                 self._pause(there, length)
                 return
             easier = min(options.wanted / there.iterations, (0.5 / max(self._bend(here, there), 1e-3)) ** 0.5)
