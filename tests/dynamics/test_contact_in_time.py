@@ -6,6 +6,7 @@ from moving import Recorded, cloth, move
 from scipy.spatial.transform import Rotation
 from test_problem import sheet
 
+import voile
 from voile.cli import main
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Plane, Sphere
@@ -130,3 +131,30 @@ def test_layers_may_touch_from_the_start_on(tmp_path):
             main(["run", str(scene), "-o", str(tmp_path / solver), "--set", f'dynamics.solver="{solver}"'])
             == 0
         )
+
+
+@pytest.mark.parametrize("solver", ["newton", "local-global"])
+def test_what_has_stopped_does_not_move_at_all(solver):
+    """Not even by the tolerance of its steps: they begin where the obstacle carries what sticks."""
+    points, triangles = sheet(4, 4, 0.2, 0.2)
+    scene = {
+        "scene": {"task": "dynamics"},
+        "shell": {
+            "mesh": (points, triangles),
+            "model": "projective",
+            "young": 1e6,
+            "thickness": 1e-3,
+            "density": 300.0,
+            "velocity": [0.5, 0.0, 0.0],
+        },
+        "loads": {"gravity": [0.0, 0.0, -G]},
+        "obstacle": [
+            {"shape": "plane", "point": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "friction": 0.45}
+        ],
+        "contact": {"offset": 0.0},
+        "dynamics": {"time_step": 2e-3, "duration": 0.4, "solver": solver},
+    }
+    result = voile.run(scene)
+    stopped = result.times > 0.2
+    shapes = [result.points(k) for k in np.flatnonzero(stopped)]
+    assert max(np.abs(x - shapes[0]).max() for x in shapes) < 1e-14

@@ -135,4 +135,4 @@ def test_twenty_iterations_give_a_landing_sheet_no_energy(scene):
     assert np.hypot(rows["balance_residual"], rows["law_residual"]) == pytest.approx(rows["residual"])
     assert np.abs(rows["balance_error"]).max() < 0.01
     last = rows["kinetic"][-1] / rows["kinetic"].max()
-    assert last == pytest.approx(0.0338, abs=0.005)  # Newton's, and 300 iterations' to 1e-8
+    assert last == pytest.approx(0.0338, abs=0.01)  # Newton's, and 300 iterations' to 1e-8

@@ -22,6 +22,7 @@ from voile.contact.pairs import PENALTY, Pairs, barrier, within
 
 LAYERS = 30.0  # rho of the shell against itself, over that against obstacles: tight layers carry much in short gaps
 OFF_BOUND = 1e-7  # share of friction
+STUCK = 1e-6  # of its bound that friction of what sticks leaves at least, for a guess
 BARRIER = 3.0  # stiffness of the barrier between layers, over rho
 
 
@@ -117,6 +118,16 @@ class NaturalMap:
                 impact = (gap <= nearer) & (nearer > rest)
                 level[impact] = (np.maximum(gap, 0.0) + obstacle.restitution * nearer)[impact]
             self.history.level[k] = level
+
+    def carried(self, x: Reals, t: float) -> tuple[Flags, Reals]:
+        """(n,) marks vertices that stuck to an obstacle when slip was last measured anew, and where it carries them by
+        time t from positions x (n, 3)."""
+        s, stuck, there = self.history, np.zeros(len(x), dtype=bool), x.copy()
+        for k, obstacle in enumerate(self.obstacles):
+            bound = (1.0 - STUCK) * obstacle.friction * s.normal[k]
+            rows = np.flatnonzero((np.linalg.norm(s.friction[k], axis=1) < bound) & self.movable)
+            there[rows], stuck[rows] = obstacle.carry(x[rows], s.time, t), True
+        return stuck, there
 
     def gap(self, k: int, x: Reals, t: float, rows: slice | Ints = slice(None)) -> Reals:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""

@@ -216,6 +216,14 @@ def leads_through(
     return not problem.everywhere(not inside.any())
 
 
+def pushed_vertices(problem: Problem, x: Reals) -> Flags:
+    """(local vertices,) marks those on which something bears at positions x (n, 3)."""
+    if not problem.contact:
+        return np.zeros(len(x), dtype=bool)
+    found: Flags = problem.contact.force(x, problem.time, frozen=False).any(axis=1)
+    return found
+
+
 def contact_of(problem: Problem) -> Contact:
     """The contact of a problem that has one."""
     assert problem.contact is not None

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
-from voile.problem.contact import contact_report
+from voile.problem.contact import contact_report, pushed_vertices
 from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -270,7 +270,7 @@ class Stepper:
         if refusal:
             problem.restore(y, start)
             return None, Outcome(False, outcome.method, refusal)
-        self.path.pushed = _pushed(problem, x)
+        self.path.pushed = pushed_vertices(problem, x)
         self.problem, self.k = problem, after
         if scheme is self.asked.scheme:
             self.path.books.enter(entries)
@@ -353,7 +353,7 @@ class Stepper:
         bear on something now or did in the last step, with all that is sewn to them."""
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
             return known
-        bears = _pushed(problem, problem.positions(self.y)) | self.path.pushed
+        bears = pushed_vertices(problem, problem.positions(self.y)) | self.path.pushed
         unknowns = problem.create_vector()
         dofs = np.concatenate([np.repeat(bears, 3).astype(float), np.zeros(len(problem.part.edge))])
         unknowns.array[:] = problem.layout.diagonal(dofs) > 0.0
@@ -361,9 +361,12 @@ class Stepper:
 
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
         """Goes as the last acceleration leads, as far as terms admit; where something pushed, as the velocity does,
-        for an impact is over."""
+        for an impact is over; what stuck to an obstacle goes with it."""
         k = self.k
         goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
+        if problem.contact:
+            stuck, carried = problem.contact.carried(k.positions, problem.time)
+            goal[stuck] = carried[stuck]
         way = field_vector(problem, goal - k.positions)
         self.y.axpy(problem.longest_step(self.y, way), way)
 
@@ -380,14 +383,6 @@ class Stepper:
         )
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
         return max(self.asked.tolerance * loads, digits * heaviest)
-
-
-def _pushed(problem: Problem, x: Reals) -> Flags:
-    """(local vertices,) marks those on which something bears at positions x (n, 3)."""
-    if not problem.contact:
-        return np.zeros(len(x), dtype=bool)
-    found: Flags = problem.contact.force(x, problem.time, frozen=False).any(axis=1)
-    return found
 
 
 def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:
