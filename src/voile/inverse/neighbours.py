@@ -25,6 +25,7 @@ from voile.inverse.direct import Direct
 from voile.inverse.modes import Modes
 from voile.problem.rest import rest_areas
 from voile.problem.scales import slow_rate
+from voile.solver.anderson import Anderson
 
 CUT = 20.0  # slow rates above the margin under which modes are known
 WEIGHT = 1.0  # of the rest shape's moves beside the shape's: with less they grow rough, and simulations leave answers
@@ -37,6 +38,7 @@ EXACT = 1e-10  # residual over the loads' norm, of an answer
 REACH = 0.05  # sizes of the shell, over which gradients count
 CHORDS, RENEWALS = 20, 6  # iterations; factors
 CONTRACTS = 0.3  # of the residual that one of them leaves at most
+DEPTH = 5  # of them that Anderson's method looks back on
 RESTORATIONS = 15  # moves
 WORST = 100.0  # growth of the residual in one of them
 DESCENTS = 4  # of conjugate gradients, for moves
@@ -193,10 +195,11 @@ class Neighbours:
         return max(self.direct.tolerance * self.target.load_norm(y), self.direct.floor())
 
     def _balance(self, point: Checkpoint) -> bool:
-        """Equilibrium at the point's shape, by Newton's method with a new factor only where the last one contracts the
-        residual too little."""
+        """Equilibrium at the point's shape, by chord steps that Anderson's method speeds up, with a new factor only
+        where these contract the residual too little."""
         factor, f, step = self.factor, self.problem.create_vector(), self.problem.create_vector()
-        norm, least, anew, kept = math.inf, math.inf, 0, point.z.copy()
+        chords, ahead = Anderson(self.problem.comm, len(f.array_r), DEPTH), step.array_r.copy()
+        norm, least, anew, kept, poor = math.inf, math.inf, 0, point.z.copy(), 0
         for _ in range(CHORDS):
             y = self.go_to(point)
             self.target.residual(y, f)
@@ -205,7 +208,9 @@ class Neighbours:
                 return not self.target.bounds.broken(self.target.rest)
             if not norm < WORST * least:
                 return False
-            if norm > CONTRACTS * before:
+            poor = poor + 1 if norm > CONTRACTS * before else 0
+            if poor > 1 or norm > before:
+                poor = 0
                 if factor is self.factor and norm > least:  # a step of no use
                     kept.copy(point.z)
                     y = self.go_to(point)
@@ -214,13 +219,16 @@ class Neighbours:
                 anew += 1
                 self.direct.linearise(y)
                 factor = self.renewed
+                chords.forget()
                 if anew > RENEWALS or not factor.set(self.direct.matrix):
                     return False
             if norm < least:
                 least = norm
                 point.z.copy(kept)
             factor.pc.apply(f, step)
-            point.z.axpy(-1.0, step)
+            step.scale(-1.0)
+            chords.step(point.z.array_r, step.array_r, ahead)
+            point.z.array[:] += ahead
         return False
 
     def _restore(self, point: Checkpoint) -> bool:
