@@ -120,6 +120,8 @@ class InverseResult:
             part = f" under {self.nearest.fraction:.4g} of the load" if self._short else ""
             size = f"sag {self.nearest.sag:.2e}, margin {self.nearest.margin:g} g/L"
             found = f"nearest stable answer found{part}, with {size}"
+            if not self.nearest.fraction:
+                found = "the search has not left the target without load, which is its own rest shape there"
             where = "; a simulation from it leaves it" if self._drifts else leaves
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
