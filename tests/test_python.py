@@ -190,11 +190,12 @@ def test_many_runs_leak_nothing():
     for scene in 2 * scenes:
         voile.run(scene)
     files, began, runs = len(os.listdir("/proc/self/fd")), memory(), 8 * scenes
+    others = set(Path("/tmp").glob("voile-*/result.vtkhdf"))  # of runs that were killed
     for scene in runs:
         voile.run(scene)
     assert (memory() - began) / len(runs) < MOST_LEFT
     assert len(os.listdir("/proc/self/fd")) <= files
-    assert not list(Path("/tmp").glob("voile-*/result.vtkhdf"))
+    assert set(Path("/tmp").glob("voile-*/result.vtkhdf")) <= others
 
 
 def test_importing_voile_is_cheap():

@@ -374,6 +374,6 @@ def test_other_bad_input(study, tmp_path):
     refused(voile("study", path, "-o", tmp_path / "out", "--jobs", "0"), "--jobs 0")
     refused(voile("study", path, "-o", tmp_path / "out", "--run", "4"), "--run 4", "1 to 3")
     (tmp_path / "file").write_text("")
-    refused(voile("study", path, "-o", tmp_path / "file"), "cannot write a study")
+    refused(voile("study", path, "-o", tmp_path / "file"), "cannot be written: Not a directory")
     (tmp_path / "scene.toml").unlink()
     refused(voile("study", path, "-o", tmp_path / "out"), "scene.toml: no such file")
