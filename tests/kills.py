@@ -59,7 +59,7 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
         if (name, ranks) not in whole:
             began, rest = time.monotonic(), folder / f"whole-{scene.stem}-{ranks}"
             code, said = _ran(scene, rest, ranks)
-            assert (rest / "result.vtkhdf").exists(), said
+            assert (rest / "result.vtkhdf").exists(), f"{name}, {ranks} ranks: exit code {code}: {said}"
             whole[name, ranks] = code, time.monotonic() - began, _end(rest)
         code, seconds, end = whole[name, ranks]
         shutil.rmtree(out, ignore_errors=True)
