@@ -41,7 +41,7 @@ class Options:
     sufficient: float = 1e-4
     steep: float = 0.5
     shortest: float = 1e-10
-    patience: int = 4
+    patience: int = 2
     noise: float = 1e-11
     mixed_steps: int = 5
     shift: float = 0.0
