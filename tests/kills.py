@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from campaigns import IDLE, Fault, judged
 
+from voile.study.execute import MPI_PREFIXES
+
 PATHS = {
     "dynamics": ("dynamics", "[dynamics]\nduration = 0.5\ntime_step = 0.005\n"),
     "load steps": ("statics", "[statics]\nload_steps = 60\n"),
@@ -128,7 +130,8 @@ def _started(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env=os.environ | (environment or {}),
+        # where a test has begun MPI in its own process, mpirun would take its marks for those of a rank
+        env={k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)} | (environment or {}),
     )
 
 

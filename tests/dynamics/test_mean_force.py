@@ -89,6 +89,6 @@ def test_elastic_supports_and_ties_keep_the_energy_too():
     shell = cloth(POINTS, TRIANGLES, springs=springs, bars=bars)
     run = move(shell, "moreau-jean", 1e-2, 0.3, 0.0, asked=SchemeOptions(theta=0.5))
     totals, largest = run.path.books.totals, run.path.books.most
-    assert run.path.converged and run.steps[-1].energies["springs"] > 1e-3 * largest
+    assert run.path.converged and max(step.energies["springs"] for step in run.steps) > 1e-2 * largest
     assert abs(totals["scheme_dissipated"]) < 2e-3 * largest
     assert abs(run.path.books.error) < 1e-8 * largest
