@@ -26,7 +26,10 @@ from voile.study.settings import overrides
 SHORT = 2.0  # s: runs under it are measured several times, as start-up and other programs weigh in
 STOPPED = "stopped by a signal"  # what `voile run` says then
 # What an MPI process tells its children: an mpirun started from one takes itself for a rank.
-MPI_PREFIXES = ("OMPI_COMM", "OMPI_MCA_ess", "OMPI_MCA_pml", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")
+MPI_PREFIXES = (
+    *("OMPI_COMM", "OMPI_APP", "OMPI_MCA_ess", "OMPI_MCA_pml", "OMPI_MCA_pmix", "OMPI_MCA_orte"),
+    *("PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_"),
+)
 CONVERGED, NOT_CONVERGED, REFUSED, FAILED, SLOW = (
     "converged",
     "not converged",
