@@ -10,6 +10,11 @@ import numpy as np
 if TYPE_CHECKING:
     from voile.results import Pattern
 
+# A program that keeps what it goes on from after every step, not every half second.
+OFTEN = (
+    "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
+    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
+)
 STRIP = "\n".join(
     [f"v {0.04 * i} {0.05 * j} 0" for i in range(6) for j in range(2)]
     + [f"f {2 * i + a} {2 * i + b} {2 * i + c}" for i in range(5) for a, b, c in ((1, 3, 4), (1, 4, 2))]

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from campaign_sources import OFTEN, STRIP
 from campaigns import IDLE, Fault, judged
 
-from voile.study.execute import MPI_PREFIXES
+from voile.study.execute import unmarked
 
 PATHS = {
     "dynamics": ("dynamics", "[dynamics]\nduration = 0.5\ntime_step = 0.005\n"),
@@ -33,10 +34,6 @@ density = 300.0
 select = { box = [[-0.01, -1, -1], [0.01, 1, 1]] }
 clamp = true
 """
-OFTEN = (
-    "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
-    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
-)
 SIGNALS = signal.SIGKILL, signal.SIGTERM, signal.SIGINT
 NEAR = 1e-8  # m, between the end of a run and that of its parts
 APART = 0.02  # m, of searches on two ranks, of which no two are alike: MUMPS adds in the order in which messages come
@@ -45,8 +42,6 @@ APART = 0.02  # m, of searches on two ranks, of which no two are alike: MUMPS ad
 def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
     """Ends runs of every task that goes on, on one and two ranks, by a signal at a random time; reads what they left,
     lets them go on, and compares the end with that of a whole run."""
-    from campaign_sources import STRIP
-
     rng, whole, out = (
         np.random.default_rng(seed),
         dict[tuple[str, int], tuple[int, float, np.ndarray]](),
@@ -87,8 +82,6 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
 
 def tears(folder: Path, count: int, seed: int) -> Iterator[Fault]:
     """Kills runs of one rank at a byte of what they write, any; reads what they left, lets them go on, and compares."""
-    from campaign_sources import STRIP
-
     rng, out, library = np.random.default_rng(seed), folder / "out", folder / "torn.so"
     source = Path(__file__).with_name("torn.c")
     subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
@@ -131,7 +124,7 @@ def _started(
         text=True,
         start_new_session=True,
         # where a test has begun MPI in its own process, mpirun would take its marks for those of a rank
-        env={k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)} | (environment or {}),
+        env=unmarked() | (environment or {}),
     )
 
 

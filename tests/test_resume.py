@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from campaign_sources import STRIP
+from campaign_sources import OFTEN, STRIP
 
 from voile.cli import main
 from voile.results import read_result, read_summary
@@ -36,11 +36,6 @@ SCENES = {"load": STATICS + SHELL + SPHERE, "arc": ARC + SHELL}
 SOFT = SHELL.replace("young = 1e8", "young = 6e6")
 SCENES["nearest"] = '[scene]\ntask = "inverse"\n' + SOFT
 SCENES["panels"] = '[scene]\ntask = "inverse"\n[inverse]\ndevelopable = "panels"\niterations = 8\n' + SOFT
-# What is kept after every step, not every half second.
-OFTEN = (
-    "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
-    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
-)
 
 
 @pytest.fixture

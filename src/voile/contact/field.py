@@ -128,7 +128,7 @@ def distance_field(
     """
     triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     points = np.ascontiguousarray(points, dtype=float)
-    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    diagonal = _diagonal(points)
     edges = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
     if resolution and resolution > BLUNT * diagonal:
         raise InputError(
@@ -137,7 +137,7 @@ def distance_field(
         )
     spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * diagonal, COARSEST * diagonal))
     _check_orientation(points, triangles, source)
-    skin = _outer(points, triangles, diagonal)
+    skin = _outer(points, triangles)
     thinnest, thickness = _thin(points, triangles, skin, spacing)
     if not resolution and spacing > RESOLVED * thickness:
         space = np.prod(np.ptp(points, axis=0) + 2 * (BAND + COARSE) * thickness)
@@ -149,9 +149,13 @@ def distance_field(
 def another_shape(body: DistanceField, points: Reals, source: str) -> DistanceField:
     """That of the same mesh with its points (n, 3) m elsewhere, as finely. Its error is taken for the first one's."""
     triangles, points = np.ascontiguousarray(body.triangles), np.ascontiguousarray(points, dtype=float)
-    skin = _outer(points, triangles, float(np.linalg.norm(np.ptp(points, axis=0))))
+    skin = _outer(points, triangles)
     found = _sampled(points, triangles, skin, body.spacing, source)
     return replace(found, thinnest=body.thinnest, measured=body.measured)
+
+
+def _diagonal(points: Reals) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source: str) -> DistanceField:
@@ -161,8 +165,7 @@ def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source:
     if np.prod(shape.astype(float)) > LARGEST:
         raise InputError(
             f"{source}: a resolution of {spacing:.3g} m needs {np.prod(shape.astype(float)):.1e} nodes; "
-            f"allowed: {LARGEST:.0e}, that is a resolution of about "
-            f"{float(np.linalg.norm(np.ptp(points, axis=0))) * FINEST:.2g} m"
+            f"allowed: {LARGEST:.0e}, that is a resolution of about {_diagonal(points) * FINEST:.2g} m"
         )
     samples = _samples(points, triangles, skin, origin, spacing, shape)
     coefficients = spline_filter(samples, order=3, mode="mirror")
@@ -226,12 +229,12 @@ def check_inside(points: Reals, triangles: Ints, source: str) -> None:
         raise InputError(f"{source}: {which} inside out (normals point inwards); reverse the triangles")
 
 
-def _outer(points: Reals, triangles: Ints, diagonal: float) -> Ints:
+def _outer(points: Reals, triangles: Ints) -> Ints:
     """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    lifted = corner + 1e-4 * diagonal * (normal / np.maximum(length, 1e-300))[:, None]
+    lifted = corner + 1e-4 * _diagonal(points) * (normal / np.maximum(length, 1e-300))[:, None]
     middle = lifted.mean(axis=1, keepdims=True)
     probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
     outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5

@@ -125,7 +125,7 @@ class NaturalMap:
         s, stuck, there = self.history, np.zeros(len(x), dtype=bool), x.copy()
         for k, obstacle in enumerate(self.obstacles):
             bound = (1.0 - STUCK) * obstacle.friction * s.normal[k]
-            rows = np.flatnonzero((np.linalg.norm(s.friction[k], axis=1) < bound) & self.movable)
+            rows = np.flatnonzero((lengths(s.friction[k]) < bound) & self.movable)
             there[rows], stuck[rows] = obstacle.carry(x[rows], s.time, t), True
         return stuck, there
 

@@ -40,6 +40,11 @@ CONVERGED, NOT_CONVERGED, REFUSED, FAILED, SLOW = (
 STATUS = {0: CONVERGED, 3: NOT_CONVERGED, 2: REFUSED}  # by exit code
 
 
+def unmarked() -> dict[str, str]:
+    """The environment for a process that may start ranks of its own."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(MPI_PREFIXES)}
+
+
 @dataclass
 class Record:
     """What came of a run: status, why it is not CONVERGED, values of measures, median wall time and CPU time (s)
@@ -150,7 +155,7 @@ class Runs:
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 pass_fds=(lock,),
-                env={k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)},
+                env=unmarked(),
                 start_new_session=True,
             )
         self.children.add(child)
