@@ -1,7 +1,7 @@
 """`history.h5`: figures of every step of a run in time, in the group /voile/history, one dataset each.
 
-HDF5 files that grow do not survive a kill. So rows are kept in memory and the file is written anew beside the old one,
-which it replaces, at times that cost little of the run's.
+HDF5 files that grow do not survive a kill. So the file is written anew beside the old one, which it replaces, at times
+that cost little of the run's. Only rows since then are kept in memory.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.arrays import Array, Reals
+from voile.arrays import Array
 from voile.errors import InputError, on_root
 from voile.files import replace
 from voile.results.checks import check_length, dataset, intact, member, open_file
@@ -28,33 +28,34 @@ PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times w
 
 
 class Column:
-    """An array that rows are added to."""
+    """Rows like a first one; those since the last write."""
 
-    def __init__(self, rows: Reals):
-        self._array, self.count = np.array(rows), len(rows)
+    def __init__(self, like: Any):
+        self._array, self.count = np.empty((64, *np.shape(like)), np.asarray(like).dtype), 0
 
     @property
-    def rows(self) -> Reals:
-        """Those so far."""
+    def rows(self) -> Array:
+        """Those that are there."""
         return self._array[: self.count]
 
     def append(self, row: Any) -> None:
         """Makes room for as many again where there is none."""
         if self.count == len(self._array):
-            grown = np.empty((self.count + max(self.count, 64), *self._array.shape[1:]), self._array.dtype)
-            grown[: self.count] = self._array  # memory that nothing has been written to costs nothing
-            self._array = grown
+            self._array = np.concatenate([self._array, np.empty_like(self._array)])
         self._array[self.count] = row
         self.count += 1
 
 
 class HistoryWriter:
-    """Rows of figures; only rank 0 has any. kept: columns of the rows that a resumed run begins with."""
+    """Rows of figures; only rank 0 has any. Rows since the last write are in memory, those before in the file, which is
+    kept open: whoever removes it takes nothing. stored: rows of the file that is there, which a resumed run goes on
+    after."""
 
-    def __init__(self, path: Path, comm: MPI.Comm, kept: Mapping[str, Array] | None = None):
-        self.path, self.comm = path, comm
-        self._columns = {name: Column(values) for name, values in (kept or {}).items()}
+    def __init__(self, path: Path, comm: MPI.Comm, stored: int = 0):
+        self.path, self.comm, self.stored = path, comm, stored
+        self._columns: dict[str, Column] = {}
         self._h5py = import_h5py(comm)
+        self._file = path.open("rb") if stored and not comm.rank else None
         self._due = time.perf_counter() + PAUSE
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -62,9 +63,7 @@ class HistoryWriter:
 
         def add() -> None:
             for name, value in row.items():
-                if name not in self._columns:
-                    self._columns[name] = Column(np.empty((0, *np.shape(value)), np.asarray(value).dtype))
-                self._columns[name].append(value)
+                self._columns.setdefault(name, Column(value)).append(value)
             if time.perf_counter() > self._due:
                 self._write()
 
@@ -75,19 +74,36 @@ class HistoryWriter:
         on_root(self.comm, self._write)
 
     def _write(self) -> None:
-        if not self._columns:
+        if not self._columns and not self.stored:
             return
         began = time.perf_counter()
         # Made in memory, for HDF5 does not survive a full disk; not the heap's, where images that grow leave holes.
         with os.fdopen(os.memfd_create("history"), "w+b") as memory:
             with self._h5py.File(memory, "w") as file:
-                group = file.create_group("voile/history")
-                for name, values in self._columns.items():
-                    group[name] = values.rows
+                count = self._fill(file.create_group("voile/history"))
             memory.flush()
             with mmap.mmap(memory.fileno(), 0, access=mmap.ACCESS_READ) as image:
                 replace(self.path, image)
+        self.stored = count
+        for column in self._columns.values():
+            column.count = 0
+        if self._file:
+            self._file.close()
+        self._file = self.path.open("rb")
         self._due = time.perf_counter() + max(PAUSE, SHARE * (time.perf_counter() - began))
+
+    def _fill(self, group: Any) -> int:
+        """Puts the rows of the file so far and those since into a group, a dataset for each figure; how many."""
+        since = {name: column.rows for name, column in self._columns.items()}
+        if self._file is None:
+            for name, rows in since.items():
+                group[name] = rows
+            return len(group["time"])
+        with self._h5py.File(self._file, "r") as file:
+            for name, old in file["voile/history"].items():
+                kept = old[: self.stored]
+                group[name] = np.concatenate([kept, since.get(name, kept[:0])])
+        return len(group["time"])
 
 
 def read_history(path: str | os.PathLike[str]) -> dict[str, Array]:

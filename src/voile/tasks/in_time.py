@@ -49,10 +49,10 @@ class TimeSteps:
             0,
             0.0,
         )  # steps that missed their tolerance clearly, by how many times at most
-        self.written, kept = path.time if job.resumes else -1.0, {}
-        if job.resumes and path.count and job.comm.rank == 0:  # before the first step there is no history
-            kept = {name: rows[: path.count] for name, rows in read_history(job.folder).items()}
-        self.history = HistoryWriter(job.folder / "history.h5", job.comm, kept)
+        self.written, stored = path.time if job.resumes else -1.0, path.count if job.resumes else 0
+        if stored and job.comm.rank == 0:  # before the first step there is no history
+            read_history(job.folder)  # refuses one that is damaged
+        self.history = HistoryWriter(job.folder / "history.h5", job.comm, stored)
         if not job.resumes:
             self.write(0.0, 0.0, path)
             self.save(path)
