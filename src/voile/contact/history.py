@@ -9,7 +9,7 @@ import numpy as np
 from voile.arrays import Reals
 from voile.contact.candidates import Candidates
 
-PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight", "level")
+PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight", "level", "sunk")
 
 
 @dataclass
@@ -17,8 +17,9 @@ class History:
     """What a step starts from and can be replayed from. Per partner (obstacles, then the shell itself), of its c
     contacts: reactions normal (c,) and friction (c, 3) in N; of the augmented Lagrangian Tresca's friction bounds
     tresca (c,) N, frozen_normal (c, 3) and frozen_weight (c, s) of the contact's vertices; level (c,) m, the gap that
-    the step must leave: 0 but for rebounds. Of the step's start: positions reference (n, 3) m and, of all vertices,
-    layers; its time, in statics the load factor. candidates: the shell's contacts with itself."""
+    the step must leave: 0 but for rebounds and where a motion starts inside, by sunk (c,) m. Of the step's start:
+    positions reference (n, 3) m and, of all vertices, layers; its time, in statics the load factor. candidates: the
+    shell's contacts with itself."""
 
     normal: list[Reals]
     friction: list[Reals]
@@ -26,6 +27,7 @@ class History:
     frozen_normal: list[Reals]
     frozen_weight: list[Reals]
     level: list[Reals]
+    sunk: list[Reals]
     reference: Reals
     time: float
     candidates: Candidates
@@ -50,6 +52,6 @@ def blank(sizes: list[tuple[int, int]], reference: Reals) -> History:
         np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int32), 0, np.zeros((0, 3)), np.zeros(0)
     )
     blank = History(
-        scalars, vectors, scalars, vectors, weights, scalars, reference, 0.0, none, np.zeros((0, 3))
+        scalars, vectors, scalars, vectors, weights, scalars, scalars, reference, 0.0, none, np.zeros((0, 3))
     )
     return blank.copy()

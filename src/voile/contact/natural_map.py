@@ -46,6 +46,7 @@ class NaturalMap:
     history: History = field(init=False)
     layers: float = LAYERS  # factor on that of the shell against itself
     most: float = np.inf  # N/m, of rho
+    closes: float = 0.0  # s, when hollows of obstacles do, see `sink`
     seconds: float = 0.0  # spent on gaps and candidates
 
     def __post_init__(self) -> None:
@@ -105,19 +106,36 @@ class NaturalMap:
         if self.itself:
             self.history.layers = self.itself.gather(x).copy()
 
+    def sink(self, x: Reals, t: float) -> None:
+        """Where a motion starts at positions x (n, 3) inside an obstacle, that has a hollow, which closes by
+        `closes`."""
+        for k in range(len(self.obstacles)):
+            depth = -self.gap(k, x, t)
+            self.history.sunk[k] = np.where(self.movable & (depth > self.touch), depth, 0.0)
+
+    def hollow(self, k: int, t: float) -> Reals:
+        """(n,) how deep (m) obstacle k lets the vertices in at time t (s)."""
+        left = 1.0 - min(t / self.closes, 1.0) if self.closes else 0.0
+        found: Reals = self.history.sunk[k] * (left**2 * (3.0 - 2.0 * left))
+        return found
+
+    def let_in(self, t: float) -> None:
+        """The step that ends at time t ends in the hollows of obstacles at the deepest."""
+        for k in range(len(self.obstacles)):
+            self.history.level[k] = -self.hollow(k, t)
+
     def rebound(self, x: Reals, begin: float, end: float, way: Reals, rest: float) -> None:
         """Restitution over a step that has begun at positions x (n, 3): vertices whose way (n, 3) without forces leads
         into an obstacle by `end` leave it with the coefficient's share of the approach (Moreau's law at velocity
         level, in steps of implicit Euler). No impact is an approach (m) within `rest`."""
         for k, obstacle in enumerate(self.obstacles):
-            level = np.zeros(len(x))
+            level = self.history.level[k]
             if obstacle.restitution:
                 gap, normal, _ = obstacle.gap_derivatives(x, begin)
                 gap -= np.asarray(self.offset)[k]
                 nearer = -np.einsum("pi,pi->p", normal, way - (obstacle.carry(x, begin, end) - x))
                 impact = (gap <= nearer) & (nearer > rest)
                 level[impact] = (np.maximum(gap, 0.0) + obstacle.restitution * nearer)[impact]
-            self.history.level[k] = level
 
     def carried(self, x: Reals, t: float) -> tuple[Flags, Reals]:
         """(n,) marks vertices that stuck to an obstacle when slip was last measured anew, and where it carries them by

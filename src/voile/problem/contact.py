@@ -195,7 +195,10 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> d
         force, carried = normal[:, None] * pairs.gradient, np.zeros_like(moved)
         if index < len(contact.obstacles):
             start = before[pairs.row]
-            carried = contact.obstacles[index].carry(start, contact.history.time, problem.time) - start
+            began = contact.history.time
+            carried = contact.obstacles[index].carry(start, began, problem.time) - start
+            closed = contact.hollow(index, began) - contact.hollow(index, problem.time)
+            carried += (closed[pairs.row] / pairs.gradient_norm)[:, None] * pairs.unit
         own, relative = contact.counted(pairs), moved - carried
         parts = (-(tangential * relative), -(force * relative), (force + tangential) * carried)
         works = np.array([part[own].sum() for part in parts])

@@ -5,9 +5,10 @@ from voile.problem.problem import Problem
 from voile.scene.tasks import Dynamics
 from voile.solver.methods.local_global import LocalGlobal
 from voile.solver.methods.local_global import Options as LocalGlobalOptions
+from voile.solver.stepping.blame import depth_inside
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, StepSolver, TimeOptions
+from voile.solver.stepping.time_path import Stepper, StepSolver, TimeOptions, let_out
 from voile.tasks.in_time import TimeSteps, air, begun, figures
 from voile.tasks.run import Run
 
@@ -31,6 +32,12 @@ def run(job: Run) -> str:
     shell, problem = job.prepare()
     problem = problem.at(0.0)
     path = begun(job, problem)
+    deep, body = depth_inside(problem, path.state) if not path.count else (0.0, "")
+    if deep:
+        job.tell(
+            f"the shell starts up to {deep:.3g} m deep in {body}, half its thickness counted: it is let out within "
+            f"{let_out(problem):.3g} s"
+        )
     with job.results(job.mesh(shell, problem.directors)) as writer:
         steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
@@ -42,8 +49,7 @@ def run(job: Run) -> str:
         if d.solver == "local-global":
             told += f", stopped by count, dynamics.iterations = {d.iterations}"
             path.reason += f"; {told}"
-        job.progress.line(f"note: {told}; history.h5: residual")
-        job.note(f"{told}; history.h5: residual")
+        job.tell(f"{told}; history.h5: residual")
     job.summarise(problem, path, dynamics=figures(problem, path), **job.forces(problem, path))
     return "" if path.converged else path.reason
 

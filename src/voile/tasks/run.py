@@ -132,6 +132,11 @@ class Run:
         if self.model:
             self.model.notes.append(text)
 
+    def tell(self, text: str) -> None:
+        """A note that the log has, too."""
+        self.progress.line(f"note: {text}")
+        self.note(text)
+
     # ---- results ----
 
     def mesh(self, shell: Shell | None, directors: bool, **point_data: Array | None) -> StaticMesh | None:

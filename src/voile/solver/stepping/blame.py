@@ -10,30 +10,12 @@ from voile.problem.scales import least_area
 CRUSHED = 0.1  # of a triangle's area at rest, which is blamed for a failure
 
 
-def what_is_wrong(problem: Problem, y: PETSc.Vec, first: bool, advice: str) -> str:
-    """With the shape at y, from which no step leads on, where that can be seen. first: no step has been done; advice:
-    what helps against energy from nowhere, empty where that is not why."""
-    inside = starts_inside(problem, y) if first else ""
-    return inside or (f"; {advice} help" if advice else crushed(problem, y))
-
-
 def crushed(problem: Problem, y: PETSc.Vec) -> str:
     """Names a triangle without area at y; empty where there is none."""
     share = least_area(problem, y)
     if share > CRUSHED:
         return ""
     return f"; a triangle is crushed to {share:.2g} of its area at rest, which material = neo-hookean resists"
-
-
-def starts_inside(problem: Problem, y: PETSc.Vec) -> str:
-    """Names the obstacle that the shell at y is deepest in: the first step would throw it out, the faster the shorter
-    it is. Empty where it is in none."""
-    depth, name = depth_inside(problem, y)
-    if not depth:
-        return ""
-    return (
-        f"; the shell starts {depth:.4g} m deep in {name}, half its thickness counted: let it start outside"
-    )
 
 
 def depth_inside(problem: Problem, y: PETSc.Vec) -> tuple[float, str]:

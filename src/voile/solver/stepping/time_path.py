@@ -13,7 +13,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
-from voile.problem.contact import contact_report, pushed_vertices
+from voile.problem.contact import contact_of, contact_report, pushed_vertices
 from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -22,7 +22,7 @@ from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
-from voile.solver.stepping.blame import depth_inside, what_is_wrong
+from voile.solver.stepping.blame import crushed
 from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.creation import Creation
 from voile.solver.stepping.folds import Folds
@@ -38,8 +38,7 @@ class Options:
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
     positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. closes: of
     the most energy that there was, what the books may miss at the end; steps that take more than their share of it are
-    solved more sharply. thrown: falls over the shell's size, above whose speed no first step throws it out of
-    a body."""
+    solved more sharply."""
 
     cut: float = 0.25
     smallest: float = 1e-8
@@ -50,7 +49,6 @@ class Options:
     digits: float = 4.0
     finest: float = 1.0 / 256.0
     closes: float = 5e-9
-    thrown: float = 10.0
 
 
 @dataclass
@@ -151,7 +149,16 @@ def start_path(problem: Problem, velocity: Reals) -> TimePath:
     y = problem.create_vector()
     if problem.contact:  # what touches from the start on has not slipped
         problem.contact.begin(problem.positions(y), problem.time)
+        problem.contact.sink(problem.positions(y), problem.time)
     return TimePath(y, start_kinematics(problem, y, velocity), Books(problem))
+
+
+def let_out(problem: Problem) -> float:
+    """Time (s) in which obstacles that the shell starts in let it out: so slowly that they stop no faster than the
+    loads stop the shell, which is not thrown. Its kinetic energy stays below 3/16 of that of a fall of that depth."""
+    deepest = max((float(depth.max(initial=0.0)) for depth in contact_of(problem).history.sunk), default=0.0)
+    deepest = problem.comm.allreduce(deepest, op=MPI.MAX)
+    return float(np.sqrt(6.0 * deepest / (slow_rate(problem) * problem.size())))
 
 
 def start_kinematics(problem: Problem, y: PETSc.Vec, velocity: Reals) -> Kinematics:
@@ -175,6 +182,8 @@ class Stepper:
         self.mass, self.folds = mean_mass(problem), Folds()
         problem.elastic.passes = not (problem.contact and problem.contact.itself)
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
+        if problem.contact:
+            problem.contact.closes = let_out(problem)
         self.finest = self.options.finest * options.time_step  # s
         self.creation = Creation(problem)
         if not len(path.pushed):
@@ -198,9 +207,9 @@ class Stepper:
             done, outcome = self._step(asked.scheme, h, end)
             if done is None:
                 path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
-                if path.length < self._shortest() or self.creation.nonsense:
-                    advice = asked.advice if self.creation.nonsense else ""
-                    wrong = what_is_wrong(self.problem, self.y, not path.count, advice)
+                if path.length < self.options.smallest * asked.time_step or self.creation.nonsense:
+                    nonsense = self.creation.nonsense
+                    wrong = f"; {asked.advice} help" if nonsense else crushed(self.problem, self.y)
                     path.reason = f"{outcome.reason}; at time {path.time:g} s{wrong}"
                     return
                 continue
@@ -216,12 +225,6 @@ class Stepper:
                 path.converged, path.reason = True, f"at rest at time {done.time:g} s"
                 return
         path.converged, path.reason = True, "end of the simulated time"
-
-    def _shortest(self) -> float:
-        """Of a step (s): one that throws out what starts inside an obstacle is the worse the shorter it is."""
-        deep = 0.0 if self.path.count else depth_inside(self.problem, self.y)[0]
-        falling = float(np.sqrt(self.fall * self.problem.size()))  # m/s
-        return max(self.options.smallest * self.asked.time_step, deep / (self.options.thrown * falling))
 
     def _rests(self, done: TimeStep) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
@@ -344,6 +347,7 @@ class Stepper:
         if problem.contact:
             k = self.k
             problem.contact.begin(k.positions, begin)
+            problem.contact.let_in(problem.time)
             if isinstance(scheme, MoreauJean):
                 rest = self.options.rest * h**2 * self.fall
                 problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
