@@ -1,6 +1,7 @@
 """`voile study` through the command line: known rates, the same tables again, kills, lists, and refusals."""
 
 import csv
+import fcntl
 import json
 import os
 import signal
@@ -163,9 +164,24 @@ def test_a_stopped_study_leaves_no_half_run(number, study, tmp_path):
         time.sleep(0.3)
         os.kill(going.pid, number)
         told = going.stderr.read()
-    assert going.returncode == 1 and "the same command goes on" in told
+    assert going.returncode == 3 and told.endswith("out, the same command goes on\n"), told
     records = [json.loads(p.read_text()) for p in (tmp_path / "out" / "runs").glob("*/run.json")]
     assert records and all(record["status"] == "converged" for record in records)
+
+
+def test_a_run_by_itself_that_is_stopped_takes_its_program_along(study, tmp_path):
+    path, runs = study(FRONT.replace("4]", "6]")), tmp_path / "out" / "runs"
+    with subprocess.Popen(
+        [*VOILE, "study", path, "-o", tmp_path / "out", "--run", "3"], stderr=subprocess.PIPE, text=True
+    ) as going:
+        while not list(runs.glob("*/log.txt")):
+            time.sleep(0.02)
+        going.send_signal(signal.SIGTERM)
+        assert going.stderr is not None and "the same command goes on" in going.stderr.read()
+    assert going.returncode == 3 and not list(runs.glob("*/run.json"))
+    (lock,) = runs.glob("*.lock")
+    with open(lock) as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which the program would hold
 
 
 def test_runs_by_themselves_are_collected_later(study, tmp_path):

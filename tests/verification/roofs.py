@@ -91,3 +91,40 @@ def dome_path(sags: np.ndarray, lam: float = 4.5, poisson: float = 0.3) -> np.nd
         guess, q = solution.sol(r), solution.p
         found.append(q[0] / (4.0 * lam**2))
     return np.array(found)
+
+
+TOGGLE = (12.94, 0.386, 0.753, 0.243, 1.03e7)  # in, lb/in^2: span of a half, rise, width, thickness, modulus
+
+
+def toggle(n: int, load: float) -> tuple[Shell, int]:
+    """Half of Williams' toggle (1964): two straight beams, clamped where they stand and where they meet."""
+    span, rise, width, thickness, young = TOGGLE
+    u, v, triangles, side = mapped(n, n // 15, "crossed")
+    points = np.column_stack([span * u, width * v, rise * u])
+    fixed = np.zeros((len(u), 3), dtype=bool)
+    fixed[:, 1] = ~side.u1
+    fixed[side.u0] = True
+    fixed[side.u1, 0] = True
+    shell = make(points, triangles, fixed, [side.u0, side.u1], thickness=thickness, young=young, poisson=0.0)
+    force = shared_by_length(points, side.u1, np.array([0.0, 0.0, -0.5 * load]))
+    return replace(shell, force=force), only(side.u1 & side.v0)
+
+
+def toggle_path() -> np.ndarray:
+    """(states, 2) displacement of the middle and load of the toggle by beam-columns, shallow: for a thrust P = B k^2,
+    u = k L, each half bends to w' = k b (1 - cos k x - tan(u/2) sin k x), sinks by d = b (u - 2 tan(u/2)), and
+    P L / (E A) = d H / L - (w', w') / 2 gives b; the load is 2 P (H / L - k b). Errors are of the slope's square."""
+    span, rise, width, thickness, young = TOGGLE
+    u = np.linspace(0.05, 6.2, 20000)
+    k, t, s, c = u / span, np.tan(0.5 * u), np.sin(u), np.cos(u)
+    thrust = young * width * thickness**3 / 12.0 * k**2
+    square = t**2 * (u - s * c) / 2.0 + 1.5 * u - 2.0 * s + s * c / 2.0 - t * (2.0 - 2.0 * c - s**2)
+    sunk = u - 2.0 * t
+    half = 0.5 * rise / span * sunk
+    root = half**2 - 0.5 * k * square * thrust * span / (young * width * thickness)
+    found = []
+    for sign in (1.0, -1.0):
+        b = (half + sign * np.sqrt(np.maximum(root, 0.0))) / (0.5 * k * square)
+        found.append(np.column_stack([b * sunk, 2.0 * thrust * (rise / span - k * b)])[root > 0.0])
+    path = np.concatenate(found)
+    return path[np.argsort(path[:, 0])]

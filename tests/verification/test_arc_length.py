@@ -131,6 +131,24 @@ def test_cylinder_pull_out(shared):
         assert difference.max() < 0.06 and np.median(difference) < 0.02
 
 
+def test_the_toggle_is_that_of_beam_columns():
+    """Both limit points and the curve between: 33.924 and 31.328 lb."""
+    deflections, loads = roofs.toggle_path().T
+    kinks = np.flatnonzero(np.diff(np.sign(np.diff(loads)))) + 1
+    assert loads[kinks] == pytest.approx([33.924, 31.328], abs=1e-3)
+    found = []
+    for n in (15, 30, 60):
+        shell, middle = roofs.toggle(n, 40.0)
+        curve = Curve(shell, [middle], load_steps=40)
+        found.append(40.0 * curve.limits()[:, 0])
+    np.testing.assert_allclose(found[-1], loads[kinks], rtol=2e-3)
+    # order 2 in the mesh
+    assert (np.abs(found[0] - found[1]) / np.abs(found[1] - found[2]))[1] > 3.0
+    computed = 40.0 * curve.factors
+    exact = np.interp(-curve.moved[:, 0, 2], deflections, loads)
+    np.testing.assert_allclose(computed, exact, atol=0.1)
+
+
 @pytest.mark.parametrize("n", [40, 80])
 def test_a_column_bifurcates_onto_its_elastica(n):
     shell = roofs.pinned_strip(n, 1.2)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from voile.errors import InputError
+from voile.signals import ENDING
 
 if TYPE_CHECKING:
     from voile.study.execute import Record, Runs
@@ -33,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs what is missing of a study and writes its files; 3 where nothing converged."""
+    """Runs what is missing of a study and writes its files; 3 where nothing converged. Raises NotConverged."""
     from voile.study.execute import Runs
     from voile.study.plan import read_plan
 
@@ -44,10 +45,12 @@ def run(args: argparse.Namespace) -> int:
     if args.list_runs:
         _list(args, runs)
         return 0
-    signal.signal(signal.SIGTERM, _interrupt)
-    if args.run is not None:
-        return _one(args, runs)
-    return _all(args, runs)
+    for number in ENDING:
+        signal.signal(number, _interrupt)
+    try:
+        return _all(args, runs) if args.run is None else _one(args, runs)
+    except KeyboardInterrupt:
+        raise runs.stopped() from None
 
 
 def _interrupt(number: int, frame: object) -> None:
@@ -86,13 +89,7 @@ def _all(args: argparse.Namespace, runs: Runs) -> int:
     from voile.study.execute import CONVERGED, figures_of, missing
     from voile.study.report import text, write_files
 
-    try:
-        records = runs.all(args.jobs, _tell)
-    except KeyboardInterrupt:
-        print(
-            f"voile: stopped; complete runs are kept in {runs.out}, the same command goes on", file=sys.stderr
-        )
-        return 1
+    records = runs.all(args.jobs, _tell)
     absent = missing(runs.plan.measures, records)
     if absent:
         found = ", ".join(figures_of(runs, records))

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from voile.errors import InputError
+from voile.errors import InputError, NotConverged
 from voile.files import fresh, lockable, made, replace
 from voile.results import read_summary
 from voile.study.measures import Measure, values
@@ -123,8 +123,12 @@ class Runs:
         for child in list(self.children):
             os.kill(child.pid, signal.SIGTERM)
 
+    def stopped(self) -> NotConverged:
+        """What a study that was told to end says."""
+        return NotConverged(f"stopped; complete runs are kept in {self.out}, the same command goes on")
+
     def run(self, run: Run) -> Record:
-        """Runs one, unless another process has meanwhile. Raises InputError if it was stopped."""
+        """Runs one, unless another process has meanwhile. Raises NotConverged if it was stopped."""
         with self._lock(run) as lock:
             return self.record(run) or self._run(run, lock)
 
@@ -145,7 +149,7 @@ class Runs:
     def _once(self, run: Run, lock: int) -> Record:
         """One process. The lock is its own too: it stays locked should this process be killed."""
         if self.stopping:
-            raise InputError(STOPPED)
+            raise self.stopped()
         folder, limit = self.folder(run), self.plan.study.study.max_seconds
         began = time.perf_counter()
         with fresh(folder / "log.txt") as log:
@@ -161,13 +165,17 @@ class Runs:
         self.children.add(child)
         try:
             code, cpu = _wait(child, limit)
+        except KeyboardInterrupt:
+            self.stop()
+            _wait(child, 0.0)
+            raise
         finally:
             self.children.discard(child)
         seconds = time.perf_counter() - began
         if self.stopping or (
             code < 0 and -code in (signal.SIGINT, signal.SIGTERM) and seconds < (limit or 1e300)
         ):
-            raise InputError(STOPPED)
+            raise self.stopped()
         return self._found(run, code, seconds, cpu, bool(limit) and seconds >= limit)
 
     def _found(self, run: Run, code: int, seconds: float, cpu: float, late: bool) -> Record:
@@ -185,7 +193,7 @@ class Runs:
             if code == 3:
                 found.reason = summary.get("reason", found.reason)
         if found.reason == STOPPED:
-            raise InputError(STOPPED)
+            raise self.stopped()
         found.seconds = summary.get("wall_time_s", {}).get("total", seconds)
         found.memory_mib, found.dofs = summary.get("peak_memory_mib"), summary.get("dofs")
         found.iterations = summary.get("newton_iterations")
