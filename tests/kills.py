@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -36,6 +37,7 @@ clamp = true
 """
 SIGNALS = signal.SIGKILL, signal.SIGTERM, signal.SIGINT
 NEAR = 1e-8  # m, between the end of a run and that of its parts
+PRINTED = 5e-5  # load factors are printed with four digits
 APART = 0.02  # m, of searches on two ranks, of which no two are alike: MUMPS adds in the order in which messages come
 
 
@@ -62,13 +64,15 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
         shutil.rmtree(out, ignore_errors=True)
         number, after = SIGNALS[int(rng.integers(len(SIGNALS)))], seconds * float(rng.uniform(0.1, 1.0))
         what = f"{k}: {name}, {ranks} ranks, {number.name} after {after:.2f} s"
-        command, said = f"run {scene.name}", _killed(scene, out, ranks, number, after)
+        command, (printed, said) = f"run {scene.name}", _killed(scene, out, ranks, number, after)
         if "Traceback" in said:
             yield Fault(what, command, said[-400:])
         if (out / "result.vtkhdf").exists():
             fault = judged(what, ["info", str(out)])
             if fault:
                 yield fault
+        if task != "inverse" and _last_printed(printed) > _last_stored(out) + PRINTED:
+            yield Fault(what, command, f"printed {_last_printed(printed)}, stored {_last_stored(out)}")
         if not (out / ".voile-run").exists():
             continue  # ended before it had begun
         again, said = _ran(scene, out, ranks, "--resume")
@@ -119,7 +123,7 @@ def _started(
     launch = ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n", str(ranks)] if ranks > 1 else []
     return subprocess.Popen(
         [*launch, sys.executable, "-c", OFTEN, "run", str(scene), "-o", str(out), *more],
-        stdout=subprocess.PIPE if environment else subprocess.DEVNULL,
+        stdout=subprocess.PIPE if environment is not None else subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
@@ -135,9 +139,9 @@ def _ran(scene: Path, out: Path, ranks: int, *more: str) -> tuple[int, str]:
         return process.returncode, said
 
 
-def _killed(scene: Path, out: Path, ranks: int, number: signal.Signals, after: float) -> str:
-    """What a run said that got a signal after so many seconds; one of its ranks, where it has several."""
-    with _started(scene, out, ranks) as process:
+def _killed(scene: Path, out: Path, ranks: int, number: signal.Signals, after: float) -> tuple[str, str]:
+    """What a run printed and said that got a signal after so many seconds; one of its ranks, where it has several."""
+    with _started(scene, out, ranks, environment={}) as process:
         time.sleep(after)
         inside = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         try:
@@ -145,7 +149,23 @@ def _killed(scene: Path, out: Path, ranks: int, number: signal.Signals, after: f
             os.kill(told, number)
         except (OSError, IndexError, ValueError):
             pass  # it has ended, or has not begun
-        return process.communicate(timeout=IDLE)[1]
+        return process.communicate(timeout=IDLE)
+
+
+def _last_printed(printed: str) -> float:
+    """Time or load factor of the last whole line that tells of a step; -1 without one."""
+    told = re.findall(r"^(?:load|time)\s+(\S+).*\n", printed, re.MULTILINE)
+    return max(map(float, told), default=-1.0)
+
+
+def _last_stored(out: Path) -> float:
+    """Time or load factor of the last step in a result; -1 without one."""
+    from voile.results import read_result
+
+    if not (out / "result.vtkhdf").exists():
+        return -1.0
+    with read_result(out) as result:
+        return float(result.values.max())
 
 
 def _end(out: Path) -> np.ndarray:

@@ -10,9 +10,12 @@ import sys
 import time
 
 import pytest
+from mpi4py import MPI
 
 from voile.cli import main
+from voile.errors import NotWritten
 from voile.results import read_result
+from voile.results.history import HistoryWriter, read_history
 
 SCENE = """
 [shell]
@@ -160,6 +163,25 @@ def test_a_full_disk_ends_a_run_with_a_message(voile, room):
     assert "File too large" in json.loads((voile.folder / "summary.json").read_text())["reason"]
     with read_result(voile.folder) as result:
         assert result.n_steps >= 16 and abs(result.points()).max() < 1.0
+
+
+def test_a_limit_on_files_ends_a_history_and_leaves_the_one_before(tmp_path):
+    """HDF5 would not survive it, not even in memory."""
+    history = HistoryWriter(tmp_path / "history.h5", MPI.COMM_SELF)
+    history.add({"time": 0.0, "figure": 1.0})
+    history.write()
+    for k in range(1, 8001):
+        history.add({"time": float(k), "figure": 1.0})
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(NotWritten, match=r"history.h5: cannot be written: File too large"):
+            history.write()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert read_history(tmp_path)["time"] == [0.0]
+    history.write()
+    assert len(read_history(tmp_path)["time"]) == 8001
 
 
 @pytest.mark.mpi

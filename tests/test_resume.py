@@ -92,7 +92,7 @@ def test_a_killed_path_goes_on(write, tmp_path, name, capsys):
     assert (parts / "result.vtkhdf").read_bytes() == before
 
 
-@pytest.mark.parametrize(("name", "step"), [("nearest", 12), ("panels", 13)])
+@pytest.mark.parametrize(("name", "step"), [("nearest", 12), ("panels", 6), ("panels", 13)])
 def test_a_killed_search_goes_on(write, tmp_path, name, step):
     """The nearest stable shape, or the panels, found after a kill on the way are those of one search, bit for bit; the
     adjoint method's, too, whose trials are often rejected."""
@@ -105,7 +105,7 @@ def test_a_killed_search_goes_on(write, tmp_path, name, step):
         np.testing.assert_array_equal(a.rest, b.rest)
         np.testing.assert_allclose(a.points(), b.points(), rtol=0, atol=1e-8)
     found, again = (read_summary(folder / "summary.json") for folder in (whole, parts))
-    assert found["reason"] == again["reason"]
+    assert found["reason"] == again["reason"] and not (parts / "restart").exists()  # it has ended
     found, again = found["inverse"], again["inverse"]
     if name == "nearest":
         assert found["nearest"]["steps"] > 12 and found["nearest"] == again["nearest"]

@@ -133,7 +133,7 @@ def _minimise(
         keep(
             lambda: (
                 _packed(target, path)
-                | {"radius": np.array(reach)}
+                | {"radius": np.array(reach if iteration else radius)}  # at its start TAO tells none
                 | (packed_history(history) if history else {})
             )
         )

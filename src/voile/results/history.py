@@ -17,7 +17,7 @@ import numpy as np
 
 from voile.arrays import Array
 from voile.errors import InputError, on_root
-from voile.files import replace
+from voile.files import replace, take, told
 from voile.results.checks import check_length, dataset, intact, member, open_file
 from voile.results.writer import import_h5py
 
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
 PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times what the last one took
+TABLES, A_TABLE = (
+    1 << 13,
+    1 << 10,
+)  # bytes that HDF5 takes beside the rows, generously, of the file and of a column
 
 
 class Column:
@@ -78,7 +82,10 @@ class HistoryWriter:
             return
         began = time.perf_counter()
         # Made in memory, for HDF5 does not survive a full disk; not the heap's, where images that grow leave holes.
-        with os.fdopen(os.memfd_create("history"), "w+b") as memory:
+        size = TABLES + sum(A_TABLE + values.rows.nbytes for values in self._columns.values())
+        with told(self.path), os.fdopen(os.memfd_create("history"), "w+b") as memory:
+            take(memory, 0, size)  # nor does it survive a limit on files, which holds for this one, too
+            memory.truncate(0)
             with self._h5py.File(memory, "w") as file:
                 count = self._fill(file.create_group("voile/history"))
             memory.flush()

@@ -70,8 +70,19 @@ class Restarts:
         self._due = time.perf_counter() + max(self.PAUSE, self.SHARE * (time.perf_counter() - began))
 
     def clear(self) -> None:
-        """Forgets what an earlier run in the folder would go on from. Collective."""
-        on_root(self.comm, lambda: (self.folder / "restart" / "last").unlink(missing_ok=True))
+        """Forgets what a run in the folder would go on from. Collective."""
+        inside = self.folder / "restart"
+
+        def forget() -> None:
+            if inside.is_symlink() or not inside.is_dir():
+                return  # what a link leads to is not the program's
+            (inside / "last").unlink(missing_ok=True)
+            for old in inside.glob("*.npz"):
+                old.unlink()
+            if not any(inside.iterdir()):
+                inside.rmdir()
+
+        on_root(self.comm, forget)
 
     def load(self) -> dict[str, Array]:
         """This rank's arrays of the newest complete set. Raises InputError where there is none of this run for as many

@@ -58,7 +58,6 @@ class TimeSteps:
             self.save(path)
 
     def __call__(self, step: TimeStep, path: TimePath) -> None:
-        self.job.progress.time_step(step, self.duration)
         self.history.add(row(self.problem, step, path))
         if step.residual > MISSED * step.tolerance:
             self.short, self.worst = self.short + 1, max(self.worst, step.residual / step.tolerance)
@@ -66,6 +65,7 @@ class TimeSteps:
             self.write(step.time, step.residual, path)
             if self.job.restarts.due():
                 self.save(path)
+        self.job.progress.time_step(step, self.duration)  # what is printed is there
 
     def finish(self, path: TimePath) -> None:
         """Writes the last good step where it is not, and where the run ended."""

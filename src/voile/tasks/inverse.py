@@ -53,6 +53,8 @@ def run(job: Run) -> str:
         smallest_eigenvalue=result.eigenvalue,
         inverse=report,
     )
+    if not (result.nearest and result.nearest.timed_out):  # one that time ended may go on
+        job.restarts.clear()
     job.progress.line(f"{_sags(report)}; {result.reason}")
     return "" if result.converged else result.reason
 

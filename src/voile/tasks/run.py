@@ -258,10 +258,10 @@ class Steps:
         self.reached, self.over = int(run.found.get("reached", 0)), False
 
     def __call__(self, step: LoadStep, y: PETSc.Vec) -> None:
-        self.run.progress.step(step)
         self.reached, self.over = self.reached + 1, abs(step.factor) >= self.end
         if self.over or self.reached % self.run.scene.output.every == 0:
             self._write_step(step, y)
+        self.run.progress.step(step)  # what is printed is there
 
     def pause(self, packed: Callable[[], Arrays]) -> None:
         """Keeps now and then what the path may go on from, and at the end where something was kept."""

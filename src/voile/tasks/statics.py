@@ -70,7 +70,8 @@ def options_of(scene: Scene) -> StaticsOptions:
 
 
 def _tell(job: Run, path: Path) -> None:
-    """Notes and says what a user should know of a path that ended well: jumps, and an end that is not stable."""
+    """Notes and says what a user should know of a path that ended well: jumps, and an end that is not stable, or not
+    known to be."""
     said = []
     for jump in path.jumps:
         why = (
@@ -86,6 +87,9 @@ def _tell(job: Run, path: Path) -> None:
         value = path.smallest_eigenvalue
         why = "" if value is None or math.isnan(value) else f", its smallest eigenvalue is {value:.3g} 1/s^2"
         said.append(f"the end state is an equilibrium but not stable{why}: disturbed, the shell leaves it")
+    if path.converged and path.stable is None:
+        why = "" if job.scene.statics.stability else " (statics.stability = false)"
+        said.append(f"whether the end state is stable was not tested{why}")
     for text in said:
         job.note(text)
         job.progress.line(f"note: {text}")
