@@ -78,9 +78,7 @@ def _one(args: argparse.Namespace, runs: Runs) -> int:
     count = len(runs.plan.runs)
     if not 1 <= args.run <= count:
         raise InputError(f"--run {args.run}: allowed: 1 to {count}, the runs of {args.study}")
-    each = runs.plan.runs[args.run - 1]
-    found = runs.record(each) or runs.run(each)
-    _tell(each, found, True)
+    runs.all(1, _tell, [runs.plan.runs[args.run - 1]])
     return 0
 
 

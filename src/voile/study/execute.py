@@ -10,11 +10,12 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from threading import Event
 
 from voile.errors import InputError, NotConverged
 from voile.files import fresh, lockable, made, replace
@@ -69,7 +70,7 @@ class Runs:
         self.plan, self.out = plan, out
         made(out / "runs")
         self.children: set[subprocess.Popen[bytes]] = set()
-        self.stopping = False
+        self.stopping = Event()
 
     def folder(self, run: Run) -> Path:
         """Where a run's results are."""
@@ -99,8 +100,11 @@ class Runs:
             return None
         return found
 
-    def all(self, jobs: int, tell: Callable[[Run, Record, bool], None]) -> list[Record]:
-        """Records of all runs, of which those that are missing are run, `jobs` at a time. tell(run, record, new)."""
+    def all(
+        self, jobs: int, tell: Callable[[Run, Record, bool], None], runs: Sequence[Run] | None = None
+    ) -> list[Record]:
+        """Records of the runs, by default of all, of which those that are missing are run, `jobs` at a time, in threads
+        that no signal interrupts. tell(run, record, new)."""
 
         def one(run: Run) -> Record:
             known = self.record(run)
@@ -110,7 +114,7 @@ class Runs:
 
         pool = ThreadPoolExecutor(jobs)
         try:
-            return list(pool.map(one, self.plan.runs))
+            return list(pool.map(one, self.plan.runs if runs is None else runs))
         except BaseException:
             self.stop()
             raise
@@ -119,9 +123,10 @@ class Runs:
 
     def stop(self) -> None:
         """Ends what runs."""
-        self.stopping = True
+        self.stopping.set()
         for child in list(self.children):
-            os.kill(child.pid, signal.SIGTERM)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.kill(child.pid, signal.SIGTERM)
 
     def stopped(self) -> NotConverged:
         """What a study that was told to end says."""
@@ -148,7 +153,7 @@ class Runs:
 
     def _once(self, run: Run, lock: int) -> Record:
         """One process. The lock is its own too: it stays locked should this process be killed."""
-        if self.stopping:
+        if self.stopping.is_set():
             raise self.stopped()
         folder, limit = self.folder(run), self.plan.study.study.max_seconds
         began = time.perf_counter()
@@ -163,16 +168,14 @@ class Runs:
                 start_new_session=True,
             )
         self.children.add(child)
+        if self.stopping.is_set():  # since before it was there to be ended
+            self.stop()
         try:
             code, cpu = _wait(child, limit)
-        except KeyboardInterrupt:
-            self.stop()
-            _wait(child, 0.0)
-            raise
         finally:
             self.children.discard(child)
         seconds = time.perf_counter() - began
-        if self.stopping or (
+        if self.stopping.is_set() or (
             code < 0 and -code in (signal.SIGINT, signal.SIGTERM) and seconds < (limit or 1e300)
         ):
             raise self.stopped()
