@@ -246,12 +246,6 @@ def test_damaged_results(scene, tmp_path):
     refused(voile("info", tmp_path / "none"), "none: no such result file")
 
 
-def test_a_run_that_tests_no_stability_says_so(scene, tmp_path):
-    done = voile("run", scene(SCENE + "[statics]\nstability = false\n"), "-o", tmp_path / "out")
-    assert done.returncode == 0 and "was not tested (statics.stability = false)" in done.stdout
-    assert "not tested" in read_summary(tmp_path / "out" / "summary.json")["notes"][-1]
-
-
 # ---- not converged, PETSc options ----
 
 FEW = SCENE + "[statics]\nmax_steps = 5\n"

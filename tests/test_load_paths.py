@@ -180,3 +180,11 @@ def test_options_go_between_the_arguments_of_export(tmp_path, capsys):
     assert out.is_file()
     assert main(["export", result]) == 2 and "no output; allowed" in capsys.readouterr().err
     assert main(["export", result, str(out), "--to", "ply"]) == 2
+
+
+def test_a_run_that_tests_no_stability_says_so(tmp_path, capsys):
+    scene, out = write(tmp_path, PULLED + "[statics]\nload_steps = 1\nstability = false\n"), tmp_path / "out"
+    assert main(["run", scene, "-o", str(out)]) == 0
+    said = "whether the end state is stable was not tested (statics.stability = false)"
+    assert f"note: {said}" in capsys.readouterr().out
+    assert read_summary(out / "summary.json")["notes"][-1] == said
