@@ -100,6 +100,7 @@ def test_small_by_chance_is_not_recommended(findings):
     assert [row.trusted for row in found.rows] == pytest.approx([0.3, 0.06, 0.06, 0.015])
     chosen = [choice.row and choice.row.run.effective["refine"] for choice in found.choices]
     assert chosen == [1, 3, None]
+    assert [row.run.effective["refine"] for row in found.front] == [0, 1, 3]
 
 
 def test_the_front_takes_no_heed_of_what_clocks_cannot_tell(findings):

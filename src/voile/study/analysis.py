@@ -32,6 +32,11 @@ class Row:
     changes: dict[str, list[str]] = field(default_factory=dict)
     front: bool = False
 
+    @property
+    def counted(self) -> float | None:
+        """The error that front and choice go by."""
+        return None if self.error is None else max(self.error, self.trusted or 0.0)
+
 
 @dataclass
 class Choice:
@@ -87,12 +92,12 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
         row.changes = changed(row.run, plan.runs[origin])
         if k != plan.reference and row.record.status == CONVERGED:
             _measure(k, row, rows, references, series, last)
-    front = _front(rows)
-    for row in front:
-        row.front = True
     for k, others in better(plan.runs, records).items():
         errors = [error for j in (k, *others) if (error := rows[j].error) is not None]
         rows[k].trusted = max(errors) if rows[k].error is not None else None
+    front = _front(rows)
+    for row in front:
+        row.front = True
     choices = [_choice(accuracy, rows) for accuracy in plan.study.study.accuracy]
     guesses = [name for name in references if about.startswith(LIMIT) and _far(plan, series, name, origin)]
     return Findings(plan, rows, references, guesses, about, series, front, choices)
@@ -184,8 +189,8 @@ def _measure(
 
 
 def _rated(rows: list[Row]) -> list[tuple[Row, float, float]]:
-    """Rows with an error, that error and their seconds."""
-    return [(r, r.error, r.seconds) for r in rows if r.error is not None and r.seconds is not None]
+    """Rows with an error, the one that counts and their seconds."""
+    return [(r, e, r.seconds) for r in rows if (e := r.counted) is not None and r.seconds is not None]
 
 
 def _alike(seconds: float, others: float) -> bool:
@@ -213,11 +218,7 @@ def _front(rows: list[Row]) -> list[Row]:
 
 def _choice(accuracy: float, rows: list[Row]) -> Choice:
     """The most exact of the fastest rows that meet an accuracy, not by chance, and its neighbours in one setting."""
-    good = [
-        (row, max(error, row.trusted or 0.0), seconds)
-        for row, error, seconds in _rated(rows)
-        if max(error, row.trusted or 0.0) <= accuracy
-    ]
+    good = [(row, error, seconds) for row, error, seconds in _rated(rows) if error <= accuracy]
     if not good:
         return Choice(accuracy, None)
     fastest = min(seconds for _, _, seconds in good)

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from voile.files import replacing
 from voile.study.analysis import Findings, Row
 from voile.study.series import ENDS, SIZED
@@ -18,7 +20,7 @@ LEAST = 1e-12  # an error drawn: nothing here is known to more
 
 def draw(findings: Findings, path: Path) -> None:
     """Draws the rows that have an error; those of one kind, that differ in meshes, time steps or where iterations end
-    only, in one colour; faint what is small by chance. Raises InputError where the file cannot be written."""
+    only, in one colour. Raises InputError where the file cannot be written."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -26,6 +28,7 @@ def draw(findings: Findings, path: Path) -> None:
 
     figure, axes = plt.subplots(figsize=(8.0, 4.8), layout="constrained")
     try:
+        axes.set_xscale("log")
         kinds = _kinds(findings)
         for k, (name, rows) in enumerate(kinds.items()):
             _draw_rows(
@@ -44,12 +47,18 @@ def draw(findings: Findings, path: Path) -> None:
 
 
 def _draw_rows(axes: Any, rows: list[Row], name: str, **style: Any) -> None:
-    """Their points; faint where the error is small by chance, as better resolved runs show."""
-    for chance in (False, True):
-        own = [row for row in rows if ((row.trusted or 0.0) > CHANCE * (row.error or 0.0)) == chance]
-        errors = [max(row.error or 0.0, LEAST) for row in own]
-        faint = {"alpha": 0.3} if chance else {"label": name}
-        axes.scatter([row.seconds for row in own], errors, s=34, zorder=3, **style, **faint)
+    """Their points, at the errors that count; faint their own, where these are small by chance."""
+    axes.scatter(
+        [r.seconds for r in rows], [_height(r.counted) for r in rows], s=34, zorder=3, label=name, **style
+    )
+    own = [row for row in rows if (row.counted or 0.0) > CHANCE * (row.error or 0.0)]
+    axes.scatter(
+        [r.seconds for r in own], [_height(r.error) for r in own], s=34, zorder=3, alpha=0.3, **style
+    )
+
+
+def _height(error: float | None) -> float:
+    return max(error or 0.0, LEAST)
 
 
 def _kinds(findings: Findings) -> dict[str, list[Row]]:
@@ -67,20 +76,24 @@ def _kinds(findings: Findings) -> dict[str, list[Row]]:
 
 
 def _draw_front(axes: Any, findings: Findings) -> None:
-    front = [(row.seconds, max(row.error or 0.0, LEAST)) for row in findings.front]
+    front = [(row.seconds, _height(row.counted)) for row in findings.front]
     if not front:
         return
     axes.plot(*zip(*front, strict=True), color=INK, linewidth=1.2, zorder=2, label="front")
     axes.scatter(
         *zip(*front, strict=True), s=110, facecolors="none", edgecolors=INK, linewidths=1.2, zorder=4
     )
+    middle = np.sqrt(np.prod(axes.get_xlim()))  # labels right of it end at their points, not in the legend
+    said = ""
     for row, (seconds, error) in zip(findings.front, front, strict=True):
-        words = [_short(n, row.run.effective[n]) for n in findings.varied if n in ORDERED]
+        words = ", ".join(_short(n, row.run.effective[n]) for n in findings.varied if n in ORDERED)
+        words, said = "" if words == said else words, words
         axes.annotate(
-            ", ".join(words),
+            words,
             (seconds, error),
-            xytext=(7, 5),
+            xytext=(7, 5) if seconds < middle else (-7, -13),
             textcoords="offset points",
+            ha="left" if seconds < middle else "right",
             fontsize=8,
             color=INK,
         )
@@ -99,7 +112,6 @@ def _plain(seconds: float, position: int) -> str:
 def _dress(axes: Any, findings: Findings, kinds: int) -> None:
     from matplotlib.ticker import FuncFormatter
 
-    axes.set_xscale("log")
     axes.set_yscale("log")
     for which in ("major", "minor"):
         getattr(axes.xaxis, f"set_{which}_formatter")(FuncFormatter(_plain))
