@@ -4,14 +4,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import voile
 from voile.api import modelled
+from voile.errors import InputError
 from voile.mesh import read_mesh
 from voile.mesh.raw import RawMesh
+from voile.problem.problem import Problem
 
 LENGTH, WIDTH, DEPTH, THICKNESS, YOUNG, DENSITY = 0.2, 0.04, 0.03, 1e-3, 1e8, 1000.0
 NX, NY, NZ = 24, 4, 3
+RIM = {"box": [[-1, -1, -1], [1, 1, -DEPTH + 1e-9]]}
 ENDS = {"box": [[-1, -1, -1e-9], [1e-9, 1, 1]]}, {"box": [[LENGTH - 1e-9, -1, -1e-9], [1, 1, 1]]}
 
 
@@ -56,10 +60,9 @@ def test_the_strip_stays_whole_and_the_fin_is_sewn_to_it(turned):
 def test_a_load_on_the_fin_bends_the_strip_as_a_beam():
     """Clamped at both ends, pulled at the fin's lower rim: F L^3 / (192 E I) at the joint, and the fin's stretch."""
     force, inertia = 1e-4, WIDTH * THICKNESS**3 / 12.0
-    rim = {"box": [[-1, -1, -1], [1, 1, -DEPTH + 1e-9]]}
-    pull = {"gravity": [0, 0, 0], "force": [{"select": rim, "value": [0, 0, -force]}]}
+    pull = {"gravity": [0, 0, 0], "force": [{"select": RIM, "value": [0, 0, -force]}]}
     fixes = [{"select": end, "clamp": True} for end in ENDS]
-    fixes.append({"select": rim, "axes": "x"})  # else the fin is free to swing
+    fixes.append({"select": RIM, "axes": "x"})  # else the fin is free to swing
     result = voile.run(scene(loads=pull, fix=fixes))
     down = (result.start - result.positions)[:, 2]
     joint = (np.abs(result.start[:, 0] - LENGTH / 2) < 1e-9) & (result.start[:, 2] == 0.0)
@@ -68,6 +71,73 @@ def test_a_load_on_the_fin_bends_the_strip_as_a_beam():
     )  # 24 cells
     stretch = down[result.start[:, 2] < -DEPTH + 1e-9].mean() - down[joint].mean()
     assert stretch == pytest.approx(force * DEPTH / (YOUNG * WIDTH * THICKNESS), rel=0.02)
+
+
+def test_a_stiff_joint_bends_the_strip_as_a_frame():
+    """A force F across the rim of a fin of depth d: the strip's middle turns by F d L / (16 E I), the joint by
+    F d / (k w), the fin bends by F d^3 / (3 E I). Second order; the joint adds its own turn."""
+    force, bends = 1e-4, YOUNG * WIDTH * THICKNESS**3 / 12.0
+    exact = force * DEPTH**2 * (LENGTH / 16.0 + DEPTH / 3.0) / bends
+    own = 0.01  # N m per m and radian
+    errors = []
+    for refine, stiffness in ((0, 1e6), (1, 1e6), (1, own)):
+        tables = scene(
+            loads={"gravity": [0, 0, 0], "force": [{"select": RIM, "value": [force, 0, 0]}]},
+            fix=[{"select": end, "clamp": True} for end in ENDS],
+        )
+        tables["shell"] |= {"refine": refine, "joint_stiffness": stiffness}
+        result = voile.run(tables)
+        moved = (result.positions - result.start)[result.start[:, 2] < -DEPTH + 1e-9, 0].mean()
+        more = force * DEPTH**2 / (stiffness * WIDTH)
+        errors.append(moved / (exact + more) - 1.0)
+        turned = sum(row["moment"][1] for row in result.summary["supports"])
+        assert turned == pytest.approx(-force * DEPTH / 2.0, rel=0.03)  # half of what the joint gets
+    assert abs(errors[1]) < 0.015 and errors[0] > 3.5 * errors[1] and abs(errors[2]) < 0.005
+
+
+def test_stiff_joints_springs_and_ties_have_one_potential():
+    """Forces are its derivative, the tangent is theirs; a joint does not feel that all turns."""
+    everywhere = {"box": [[-1, -1, -1], [1, 1, 1]]}
+    tables = scene(
+        loads={"gravity": [0, 0, -9.81]},
+        spring=[{"select": everywhere, "stiffness": 3.0}],
+        tie=[{"nodes": [0, 60], "stiffness": 2.0, "length": 0.02}],
+        fix=[{"select": end} for end in ENDS],
+    )
+    tables["shell"]["joint_stiffness"] = 0.05
+    problem = Problem(modelled(voile.load(tables)).shell, MPI.COMM_SELF)
+    random, y, along = np.random.default_rng(0), problem.create_vector(), problem.create_vector()
+    y.array[:], along.array[:] = 2e-4 * random.normal(size=(2, y.getSize()))
+    ends = [y + share * along for share in (-1e-3, 1e-3)]
+    force, matrix = [y.duplicate() for _ in range(3)], problem.create_matrix()
+    for at, f in zip([*ends, y], force, strict=True):
+        problem.residual(at, f)
+    problem.tangent(y, matrix)
+    slope = (problem.energy(ends[1]) - problem.energy(ends[0])) / 2e-3
+    assert slope == pytest.approx(force[2].dot(along), rel=1e-6)
+    change = (force[1] - force[0]) * 500.0
+    assert (change - matrix * along).norm() < 1e-6 * change.norm()
+    weld = problem.springs[-1]
+    x = problem.positions(y)[weld.vertices]
+    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    assert np.abs(weld._turn(x)).max() > 1e-3
+    np.testing.assert_allclose(weld._turn(x @ turn), weld._turn(x), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"joints": False}, "shell.joint_stiffness: allowed above 0 with shell.joints = true"),
+        ({"model": "membrane"}, "and a model that bends"),
+        ({"joint_stiffness": -1.0}, "shell.joint_stiffness"),
+    ],
+)
+def test_stiffness_without_a_joint_is_refused(keys, said):
+    tables = scene()
+    tables["shell"] |= {"joint_stiffness": 1.0, **keys}
+    with pytest.raises(InputError, match=said):
+        voile.load(tables)
 
 
 @pytest.mark.parametrize("refine", [0, 1])
@@ -127,7 +197,8 @@ def test_it_falls_as_one_and_lands():
     assert held == pytest.approx(weight, rel=1e-6)
 
 
-def test_two_ranks_find_the_same_shape(tmp_path, run_on):
+@pytest.mark.parametrize("stiffness", [0.0, 1e-2])
+def test_two_ranks_find_the_same_shape(tmp_path, run_on, stiffness):
     mesh = tee()
     lines = ["v " + " ".join(f"{c:.17g}" for c in x) for x in mesh.points]
     for k, name in enumerate(mesh.group_names):
@@ -137,6 +208,7 @@ def test_two_ranks_find_the_same_shape(tmp_path, run_on):
         ]
     (tmp_path / "tee.obj").write_text("\n".join(lines) + "\n")
     text = f"[scene]\ntask = 'statics'\n[shell]\nmesh = 'tee.obj'\njoints = true\nyoung = {YOUNG}\nthickness = 1e-3\n"
+    text += f"joint_stiffness = {stiffness}\n"
     text += "density = 1000.0\nrefine = 1\n[statics]\nload_steps = 1\n[loads]\ngravity = [1.0, 0, -9.81]\n"
     for end in ENDS:
         text += f"[[fix]]\nselect = {{ box = {end['box']} }}\nclamp = true\n"

@@ -81,11 +81,12 @@ def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
         ),
         (
             "springs",
-            shell.springs is not None or shell.bars is not None,
+            shell.springs is not None or shell.bars is not None or shell.welds is not None,
             f"[[spring]] at {0 if shell.springs is None else int(shell.springs.any(axis=1).sum())} vertices, "
-            f"{0 if shell.bars is None else len(shell.bars)} bars of [[band]] and [[tie]]"
-            if shell.springs is not None or shell.bars is not None
-            else "no [[spring]], [[band]] or [[tie]]",
+            f"{0 if shell.bars is None else len(shell.bars)} bars of [[band]] and [[tie]], "
+            f"{0 if shell.welds is None else len(shell.welds)} edges of shell.joint_stiffness"
+            if shell.springs is not None or shell.bars is not None or shell.welds is not None
+            else "no [[spring]], [[band]], [[tie]] or shell.joint_stiffness",
         ),
         (
             "moving supports",
@@ -170,7 +171,9 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
         "statics.load_steps is given": statics.load_steps is not None,
         "statics.load_factors is given": bool(statics.load_factors),
         "supports or obstacles move": moves,
-        "there are springs, bands or ties": shell.springs is not None or shell.bars is not None,
+        "there are springs, bands, ties or stiff joints": any(
+            a is not None for a in (shell.springs, shell.bars, shell.welds)
+        ),
         "layers are kept apart": scene.contact.self_contact,
         "loads have no potential": shell.moment is not None
         or (shell.pressed and pressure_origin(shell) is None),

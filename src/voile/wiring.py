@@ -29,6 +29,7 @@ from voile.mesh import (
     surface_loops,
 )
 from voile.mesh.topology import Topology, build_topology
+from voile.mesh.welds import welds
 from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
 from voile.problem.local_axes import Hold, combined
@@ -107,6 +108,7 @@ def build_model(scene: Scene) -> Model:
         load_laws=_load_laws(scene),
         springs=on.springs(scene.spring),
         bars=on.bars(scene.band, scene.tie),
+        welds=welds(surface, topology, spec.joint_stiffness, _plate(thickness, young, poisson, weave)),
         extra_mass=on.total("mass", [(mass, mass.value) for mass in scene.mass]),
         weave=weave,
         **_seams(surface),
@@ -256,6 +258,13 @@ def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: Reals) -> Reals 
         return weave_rows(rest.points, rest.triangles, warp_of(rest, surface, warps), *fabric, woven=woven)
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
+
+
+def _plate(thickness: Reals, young: Reals, poisson: Reals, weave: Reals | None) -> Reals:
+    """(m,) bending stiffness (N m), the mean of warp and weft of what is woven."""
+    if weave is not None:
+        return np.asarray(young * weave[:, [5, 7]].mean(axis=1))
+    return np.asarray(young * thickness**3 / (12.0 * (1.0 - poisson**2)))
 
 
 def _moments(scene: Scene, surface: Surface, topology: Topology, loops: list[Ints]) -> Reals | None:

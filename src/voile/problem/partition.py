@@ -55,6 +55,7 @@ class Part:
     pressure: Reals  # (m,) Pa
     springs: Reals  # (vertices, 3) N/m, empty without
     bars: Reals  # (b, 7) all: input vertices, N/m, m, local vertices or -1 where not here, whether it counts here
+    welds: Reals  # (w, 16) all: those of Shell.welds, then as for bars
     extra_mass: Reals  # (vertices,) kg
     half_edge_clamp: (
         Reals  # (k, 7): local half edge, flags conormal and at rest, vector, which of `turns` or -1
@@ -239,7 +240,8 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         moment=moment[triangles].ravel(),
         pressure=shell.pressure + (np.zeros(len(triangles)) if patch is None else patch[triangles]),
         springs=np.zeros((0, 3)) if shell.springs is None else shell.springs[vertex],
-        bars=_bars(shell, vertex_local, numbering.node_owner, rank),
+        bars=_joined(shell.bars, 2, 4, vertex_local, numbering.node_owner, rank),
+        welds=_joined(shell.welds, 6, 9, vertex_local, numbering.node_owner, rank),
         extra_mass=np.zeros(len(vertex)) if shell.extra_mass is None else shell.extra_mass[vertex],
         half_edge_clamp=mine,
         turns=tuple(motion for _, motion in shell.moves),
@@ -260,13 +262,13 @@ def _places(dof: Ints, vertex: Ints, edge: Ints, vertices: int) -> Ints:
     return found
 
 
-def _bars(shell: Shell, local: Ints, owner: Ints, rank: int) -> Reals:
-    """Part.bars."""
-    if shell.bars is None:
-        return np.zeros((0, 7))
-    ends = shell.bars[:, :2].astype(np.int64)
-    here = np.where((local[ends] >= 0).all(axis=1)[:, None], local[ends], -1)
-    return np.column_stack([shell.bars, here, owner[ends[:, 0]] == rank])
+def _joined(rows: Reals | None, count: int, width: int, local: Ints, owner: Ints, rank: int) -> Reals:
+    """Part.bars or Part.welds of rows that begin with so many vertices."""
+    if rows is None:
+        return np.zeros((0, width + count + 1))
+    vertices = rows[:, :count].astype(np.int64)
+    here = np.where((local[vertices] >= 0).all(axis=1)[:, None], local[vertices], -1)
+    return np.column_stack([rows, here, owner[vertices[:, 0]] == rank])
 
 
 def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int) -> Ints:
@@ -280,10 +282,10 @@ def _needed_triangles(shell: Shell, constraints: Constraints, numbering: Numberi
     touched = row[mine]
     node[np.where(touched < 3 * n, touched // 3, touched - 2 * n)] = True
     node |= numbering.node_owner == rank  # also what has no unknown is written by somebody
-    if shell.bars is not None:  # what a bar joins to a vertex comes with it
-        ends = shell.bars[:, :2].astype(np.int64)
-        near = node[ends].any(axis=1)
-        node[ends[near]] = True
+    for rows, count in ((shell.bars, 2), (shell.welds, 6)):  # what they join to a vertex comes with it
+        if rows is not None:
+            joined = rows[:, :count].astype(np.int64)
+            node[joined[node[joined].any(axis=1)]] = True
     direct = node[shell.triangles].any(axis=1) | node[n + topology.triangle_edges].any(axis=1)
     ring = direct
     for _ in range(2):  # across a hinge: the vertex opposite; then the ring that those hinges need

@@ -182,7 +182,8 @@ class Problem:
         at = self.point(y)
         parts: dict[str, float] = {}
         for term in self.terms:
-            parts |= term.energies(at)
+            for name, value in term.energies(at).items():
+                parts[name] = parts.get(name, 0.0) + value
         values = self.reduced(np.array(list(parts.values()))) + 0.0  # not -0.0
         return dict(zip(parts, values, strict=True))
 

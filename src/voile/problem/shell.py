@@ -31,7 +31,9 @@ class Shell:
     moment (3m,) N m per half edge about the edge, turning the triangle's opposite corner against its normal.
     patch_pressure (m,) Pa beside it, None without.
     springs (n, 3): stiffness (N/m) of elastic supports along each axis, to where the vertices start. bars (b, 4): two
-    vertices, stiffness (N/m) and length (m) of each. extra_mass (n,) kg beside the fabric's.
+    vertices, stiffness (N/m) and length (m) of each. welds (w, 9): six vertices,
+    stiffness (N m) and two angles of sheets that join along an edge (mesh.joints). extra_mass (n,) kg beside the
+    fabric's.
     moves: further motions of supports, of which vertices, along their Dirichlet axes.
     load_laws in time, by problem.loads.LOADS: in proportion to it where there is none.
     closing (n, 3): displacement that closes the seams of the start shape (solver.sewing), None where they are closed.
@@ -69,6 +71,7 @@ class Shell:
     weave: Reals | None = None
     springs: Reals | None = None
     bars: Reals | None = None
+    welds: Reals | None = None
     extra_mass: Reals | None = None
     topology: Topology = field(default=None)  # type: ignore[assignment]  # built from the triangles
 

@@ -9,13 +9,15 @@ from voile.arrays import Flags, Ints, Reals
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
 from voile.problem.terms import Point, Term
+from voile.problem.welds import Welds
 
 NAME = "springs"
 
 
 def springs_of(part: Part, own: Flags, comm: MPI.Comm) -> tuple[Term, ...]:
-    """The terms of a part's elastic supports and bars, the same on all ranks; own (local vertices,): counted here."""
-    there = comm.allreduce(np.array([len(part.springs), len(part.bars)]))
+    """The terms of a part's elastic supports, bars and welds, the same on all ranks; own (local vertices,): counted
+    here."""
+    there = comm.allreduce(np.array([len(part.springs), len(part.bars), len(part.welds)]))
     found: list[Term] = []
     if there[0]:
         home = part.points + part.closure[: part.points.size].reshape(-1, 3)
@@ -25,6 +27,8 @@ def springs_of(part: Part, own: Flags, comm: MPI.Comm) -> tuple[Term, ...]:
         here = ends[:, 0] >= 0
         stiffness, length, counted = part.bars[here][:, [2, 3, 6]].T
         found.append(Bars(ends[here], everywhere, here, stiffness, length, counted.astype(bool)))
+    if there[2]:
+        found.append(Welds.of(part.welds))
     return tuple(found)
 
 

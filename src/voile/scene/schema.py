@@ -101,8 +101,13 @@ class Shell:
     joints: bool = key(
         Boolean(),
         "more than two triangles may share an edge: two of them go on into each other, the other sheets are sewn to "
-        "them and turn freely about the edge",
+        "them",
         default=False,
+    )
+    joint_stiffness: float = key(
+        Number("N", least=0),
+        "moment per length of such an edge and radian that its sheets turn against each other; 0: they turn freely",
+        default=0.0,
     )
     velocity: Vector3 = key(vector("m/s"), "dynamics: velocity at the start", default=(0.0, 0.0, 0.0))
     angular_velocity: Vector3 = key(
@@ -294,19 +299,23 @@ class Scene:
         for index, fabric in enumerate(self.fabric if inverse else ()):
             if fabric.shrink:
                 raise Rejected("allowed with task = inverse: 0", ("fabric", index, "shrink"))
-        given = next((name for name in ("spring", "band", "tie") if getattr(self, name)), None)
+        if self.shell.joint_stiffness and (not self.shell.joints or self.shell.model == "membrane"):
+            allowed = "allowed above 0 with shell.joints = true and a model that bends"
+            raise Rejected(allowed, ("shell", "joint_stiffness"))
+        welds = [("shell", "joint_stiffness")] if self.shell.joint_stiffness else []
+        bars = [*((name,) for name in ("band", "tie") if getattr(self, name)), *welds]
+        given = [("spring",), *bars] if self.spring else bars
         for index, fix in enumerate(self.fix):
             if fix.frame and inverse:
                 raise Rejected("allowed without task = inverse", ("fix", index, "frame"))
             if fix.frame and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
                 raise Rejected('allowed with dynamics.solver = "newton"', ("fix", index, "frame"))
         if given and inverse:
-            raise Rejected("allowed with task = statics or dynamics, or modes", (given,))
-        bars = next((name for name in ("band", "tie") if getattr(self, name)), None)
+            raise Rejected("allowed with task = statics or dynamics, or modes", given[0])
         if bars and self.scene.task == "modes" and self.modes.buckling:
-            raise Rejected("allowed with modes.buckling = false: loads pull bars tight", (bars,))
+            raise Rejected("allowed with modes.buckling = false: loads pull on it", bars[0])
         if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
-            raise Rejected('allowed with dynamics.solver = "newton"', (given,))
+            raise Rejected('allowed with dynamics.solver = "newton"', given[0])
 
     def _check_woven(self) -> None:
         woven = self.shell.material == "orthotropic"

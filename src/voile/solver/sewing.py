@@ -53,6 +53,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             moment=None,
             springs=None,
             bars=None,
+            welds=None,
         )
     problem = Problem(loose, comm)
     descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))
