@@ -9,7 +9,7 @@ from lo_roof import OPENING, RADIUS, roof
 import voile
 from voile.cli import main
 from voile.problem.stress_fields import FIELDS
-from voile.results import CELL_FIELDS, read_result
+from voile.results import CELL_FIELDS, read_result, read_summary
 from voile.scene.tasks import Output
 from voile.validate.shells import mapped
 
@@ -116,6 +116,60 @@ def test_cylinder_under_pressure(tmp_path, model):
             assert np.abs(hoop[:, 1] / exact - POISSON).max() < 2.0 * errors[-1]
     rate = 2.5 if model == "discrete-shells" else 3.5
     assert errors[-1] < 2e-3 and errors[0] / errors[1] > rate and errors[1] / errors[2] > rate
+
+
+def annulus(rings: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radii 0.2 and 1 m in the plane z = 0, normals up."""
+    around = 6 * rings
+    i, j = np.meshgrid(np.arange(around), np.arange(rings + 1), indexing="ij")
+    radius, angle = 0.2 + 0.8 * j / rings, 2.0 * np.pi * i / around
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * radius], axis=2).reshape(-1, 3)
+    k = (np.arange(around)[:, None] * (rings + 1) + np.arange(rings)).ravel()
+    n = (k + rings + 1) % len(points)
+    return points, np.concatenate([np.column_stack([k, k + 1, n + 1]), np.column_stack([k, n + 1, n])])
+
+
+def test_annular_plate_under_pressure(tmp_path):
+    """Free inside, simply supported outside: w = q r^4/64 D + C1 + C2 ln r + C3 r^2 + C4 r^2 ln r gives both moments
+    and the deflection of the inner rim; the supports carry the load."""
+    pressure, errors = 1e-9, []
+    plate = YOUNG * THICKNESS**3 / 12.0 / (1.0 - POISSON**2)
+
+    def row(r, kind):
+        log = np.log(r)
+        if kind == "w":
+            return np.array([1.0, log, r**2, r**2 * log, r**4 / 64.0])
+        if kind == "shear":  # the slope of the Laplacian
+            return np.array([0.0, 0.0, 0.0, 4.0 / r, r / 2.0])
+        slope = np.array([0.0, 1.0 / r, 2.0 * r, r * (2.0 * log + 1.0), r**3 / 16.0])
+        bend = np.array([0.0, -1.0 / r**2, 2.0, 2.0 * log + 3.0, 3.0 * r**2 / 16.0])
+        return bend + POISSON * slope / r if kind == "radial" else POISSON * bend + slope / r
+
+    rows = np.array([row(1.0, "w"), row(1.0, "radial"), row(0.2, "radial"), row(0.2, "shear")])
+    c = np.append(np.linalg.solve(rows[:, :4], -rows[:, 4]), 1.0) * pressure / plate
+    for rings in (8, 16):
+        points, triangles = annulus(rings)
+        outside, along = rings + (rings + 1) * np.arange(6 * rings), 6 * rings // 4 * (rings + 1) + rings
+        scene = f"pressure = {pressure}\n[[fix]]\nselect = {{ nodes = {outside.tolist()} }}\naxes = 'z'\n"
+        for node, axis in ((outside[0], "y"), (outside[3 * rings], "y"), (along, "x")):
+            scene += f"[[fix]]\nselect = {{ nodes = {node} }}\naxes = '{axis}'\n"
+        result = run(tmp_path, points, triangles, scene, fields=["bending_moment"])
+        place = points[triangles].mean(axis=1)
+        radius = np.linalg.norm(place, axis=1)
+        out = place / radius[:, None]
+        moment = result.field("bending_moment")[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
+        size, found = 0.0, []
+        for kind, unit in (("radial", out), ("hoop", np.cross([0.0, 0.0, 1.0], out))):
+            exact = -plate * np.array([row(r, kind) @ c for r in radius])
+            found.append(np.einsum("tij,ti,tj->t", moment, unit, unit) - exact)
+            size = max(size, np.abs(exact).max())
+        sunk = result.points()[: rings + 1, 2]
+        errors.append([np.sqrt(np.mean(np.square(found))) / size, abs(sunk[0] / (row(0.2, "w") @ c) - 1.0)])
+    moments, deflections = np.transpose(errors)
+    assert moments[1] < 0.02 and moments[0] > 1.7 * moments[1]  # constant in a triangle
+    assert deflections[1] < 3e-3 and deflections[0] > 3.5 * deflections[1]
+    table = read_summary(tmp_path / "out" / "summary.json")["supports"]
+    assert sum(row["force"][2] for row in table) == pytest.approx(-pressure * np.pi * 0.96, rel=5e-3)
 
 
 def test_strip_bent_to_an_arc(tmp_path):
