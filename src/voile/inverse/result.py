@@ -128,7 +128,7 @@ class InverseResult:
             return f"{self.direct.reason}; {self._kept()}"
         if not self.stable:
             return f"{self.direct.reason}; the nearest equilibrium found is unstable: {self._unstable()}"
-        sag = f"with sag {self.simulation.sag:.2e}"
+        sag = f"with sag {self.adjoint.trail[-1].sag if leaves else self.simulation.sag:.2e}"
         return f"nearest stable answer found, {sag}{leaves}; exactly, {self.direct.reason}"
 
     def _kept(self) -> str:

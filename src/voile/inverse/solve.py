@@ -20,9 +20,10 @@ from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_direct, unpacked_direct
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.nearest import approach
+from voile.inverse.nearest_path import NearestPath
 from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
-from voile.inverse.verify import simulate
+from voile.inverse.verify import Simulation, simulate
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
@@ -92,8 +93,15 @@ def solve_inverse(
         path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
         nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds, journal)
+    proof = None
+    if nearest:
+        target.hold(nearest.rest)
+        proof = simulate(target, nearest.rest, options.tolerance)
+        if not nearest.timed_out and not _nearer(target, nearest, proof, options.tolerance):
+            nearest = proof = None
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
+        target.hold(path.rest)
         try:
             adjoint = minimise(
                 target,
@@ -111,7 +119,7 @@ def solve_inverse(
     exact = Direct(target).home(beside.state, beside.rest, on_step) if beside and whole else None
     if exact:  # past where the direct branch turned back
         exact.iterations += path.iterations
-        path, nearest, adjoint = exact, None, None
+        path, nearest, adjoint, proof = exact, None, None, None
     found = nearest or adjoint or path
     if not adjoint:
         target.hold(found.rest)  # the search for the least margin ends at another one
@@ -121,7 +129,7 @@ def solve_inverse(
             on_found(z)  # there may be none
         target.load(1.0)
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration, journal)
-        nearest = None
+        nearest = proof = None
     if adjoint:
         target.release()
     searched = time.perf_counter()
@@ -129,7 +137,7 @@ def solve_inverse(
         on_found(z)
     proving = time.perf_counter()
     tolerance = _resolved(target, path, options.tolerance) if found is path else options.tolerance
-    simulation = simulate(target, z, tolerance, eigenvalue=adjoint is not None)
+    simulation = proof or simulate(target, z, tolerance, eigenvalue=adjoint is not None)
     disturbed = simulate(target, z, tolerance, disturbed=True)
     held = simulate(target, z, tolerance, start=nearest.state) if nearest else None
     if nearest:
@@ -145,6 +153,15 @@ def solve_inverse(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
         nearest=nearest, held=held, guess=away, tolerance=tolerance,
     )  # fmt: skip
+
+
+def _nearer(target: Target, nearest: NearestPath, run: Simulation, tolerance: float) -> bool:
+    """Whether a nearest stable shape is nearer to the target than what the target's own shape as rest shape gives; so
+    is its simulation from the target, where that ends in it."""
+    stays = run.stable and run.sag <= NEAR * nearest.sag
+    target.release()
+    plain = simulate(target, target.problem.create_vector(), tolerance)
+    return not plain.stable or (run.sag if stays else nearest.sag) < plain.sag
 
 
 def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
