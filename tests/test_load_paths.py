@@ -155,6 +155,13 @@ def test_a_snap_under_load_is_told(tmp_path, capsys):
     assert not calm["notes"]
 
 
+def test_a_buckled_strip_that_is_bent_on_does_not_snap(tmp_path):
+    """Pushed together by a third of its length, it moves ever less in a step, also where no short step leads on."""
+    text = ARCH.replace("average", "tan") + "move = { displacement = [-0.133, 0.0, 0.0] }\n"
+    summary = run(tmp_path, write(tmp_path, text, 30, 2), "loads.gravity=[0,0,0]")
+    assert summary["stable"] and "descent" in summary["method"] and summary["notes"] == []
+
+
 def test_an_end_that_is_not_stable_is_told(tmp_path, capsys):
     """A standing strip far above its buckling weight, whose symmetry nothing perturbs."""
     text = (

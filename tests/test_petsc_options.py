@@ -84,6 +84,17 @@ def test_stability_is_counted_whatever_solves_the_systems(run, tmp_path, words):
     assert summary["notes"] == [] and summary["unused_options"] == []
 
 
+def test_cholmod_may_meet_matrices_that_are_not_positive_definite(run, tmp_path):
+    """A free sheet above a ball: it raises an error where MUMPS counts pivots."""
+    free = SCENE[: SCENE.index("[[fix]]")].replace("1e5", "1e6")
+    ball = "[[obstacle]]\nshape = 'sphere'\ncenter = [0.15, 0.15, -0.1]\nradius = 0.0995\nfriction = 0.5\n"
+    (tmp_path / "mesh.obj").write_text(cells(size=0.3, count=8))
+    (tmp_path / "scene.toml").write_text(free + ball)
+    done, summary = run("-pc_factor_mat_solver_type", "cholmod")
+    assert done.returncode == 0, done.stderr
+    assert summary["stable"] is True and summary["contact"]["active"] > 0
+
+
 def test_a_solver_that_petsc_has_not_is_bad_input(run, tmp_path, mpirun):
     """No such solver, and one that cannot on two ranks."""
     done, _ = run("-pc_factor_mat_solver_type", "cholesky")

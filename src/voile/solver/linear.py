@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from voile.errors import InputError
 
+BROKEN = 71, 81  # of PETSc: a zero pivot of LU; of Cholesky, for CHOLMOD one that is not positive
 NO_SOLVER = 92  # PETSc's error for a solver that it does not have for a matrix
 WORK_SPACE, MOST_WORK_SPACE = (-8, -9), 1000  # MUMPS' errors for too little of it; ICNTL(14) in per cent
 
@@ -134,6 +135,9 @@ class LinearSolver:
             try:
                 pc.setUp()
             except PETSc.Error as error:
+                if error.ierr in BROKEN:
+                    self.usable, self.negative = False, 1
+                    return False
                 if error.ierr != NO_SOLVER:
                     raise
                 kind, ranks = pc.getFactorSolverType(), matrix.comm.size

@@ -57,7 +57,7 @@ class LoadStep:
 @dataclass(frozen=True)
 class Jump:
     """A load step that left its branch: how much it moved the shell, in sizes, and how many times that what the step
-    before let expect; 0 where no short step led on."""
+    before let expect."""
 
     start: float
     end: float

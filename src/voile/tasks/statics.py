@@ -74,14 +74,9 @@ def _tell(job: Run, path: Path) -> None:
     known to be."""
     said = []
     for jump in path.jumps:
-        why = (
-            f"{jump.times:.2g} times what the step before let expect"
-            if jump.times
-            else "no short step led on"
-        )
         said.append(
             f"between load factors {jump.start:.4g} and {jump.end:.4g} the shell moves by {jump.moved:.3g} of its "
-            f"size, {why}: it snaps or buckles there"
+            f"size, {jump.times:.2g} times what the step before let expect: it snaps or buckles there"
         )
     if path.converged and path.stable is False:
         value = path.smallest_eigenvalue

@@ -37,13 +37,15 @@ from voile.solver.stepping.restart import packed_path, packed_state, unpacked_pa
 @dataclass
 class Options:
     """cuts: quartered load steps before all methods are tried; patient: the same where loads have no potential to
-    descend on. jump: times the motion to be expected that a step may make. notable: sizes of the shell; a smaller
-    motion is none. nearby: sizes; a gap at which an obstacle touches. rounds: solves at one load until the tolerance,
-    taken from the state, has settled."""
+    descend on. jump: times the motion to be expected that a step may make; doubtful: the same where no short step led
+    on, for a buckled shell that is bent on moves ever less. notable: sizes of the shell; a smaller motion is none.
+    nearby: sizes; a gap at which an obstacle touches. rounds: solves at one load until the tolerance, taken from the
+    state, has settled."""
 
     cuts: int = 2
     patient: int = 8
     jump: float = 5.0
+    doubtful: float = 2.0
     notable: float = 0.01
     nearby: float = 1e-3
     rounds: int = 6
@@ -154,14 +156,13 @@ class LoadPath:
         moved = problem.largest_motion(difference(self.y, problem.unknowns_of(start)))
         control.rate = moved / length
         lost = control.last_resort and self.path.steps and not self.solver.nests
-        if lost and moved > self.options.notable:
-            self.path.jumps.append(Jump(control.factor, control.target, moved, 0.0))
-        else:
-            self._note_jump(moved, max(before * length, self.options.notable / self.options.jump))
+        allowed = self.options.doubtful if lost else self.options.jump
+        self._note_jump(moved, max(before * length, self.options.notable / allowed), allowed)
 
-    def _note_jump(self, moved: float, expected: float) -> None:
-        """Remembers a step that moved the shell so many sizes, if that is a jump."""
-        if self.options.jump * expected < moved:
+    def _note_jump(self, moved: float, expected: float, allowed: float) -> None:
+        """Remembers a step that moved the shell so many sizes, if that is a jump: more than `allowed` times what was
+        expected."""
+        if allowed * expected < moved:
             jump = Jump(self.control.factor, self.control.target, moved, moved / expected)
             self.path.jumps.append(jump)
 
@@ -242,7 +243,7 @@ class LoadPath:
             done, stable = self._settle_contact(done)
         if jumps and problem.supported:
             done.method = f"snap by {done.method}"
-            self._note_jump(moved, self._expected())
+            self._note_jump(moved, self._expected(), self.options.jump)
         control.done(done.iterations, moved, jumps)
         control.stable = stable
         return done
