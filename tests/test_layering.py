@@ -27,7 +27,7 @@ ALLOWED = {
     "solver": {"_kernels", "_friction", "_projective", "mesh", "elastic", "contact", "problem"},
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
     "results": {"files", "mesh"},
-    "post": {"files", "results"},
+    "post": {"files", "keys", "results"},
     "study": {"_kernels", "files", "keys", "mesh", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.

@@ -210,6 +210,19 @@ def test_upright_follows_gravity():
     assert np.array_equal(upright({}), [0, 1, 0])
     assert np.array_equal(upright(parse_scene("[loads]\ngravity = [0.0, 0.0, -9.81]")), [0, 0, 1])
     assert np.array_equal(upright({"loads": {"gravity": [0, 0, 0]}}), [0, 1, 0])
+    told = (
+        "[loads]\ngravity = [0.0, 0.0, 0.0]\n# --set loads.gravity=[9.81, 0, 0]\n# --set scene.task=modes\n"
+    )
+    assert np.array_equal(upright(parse_scene(told)), [-1, 0, 0])
+    assert parse_scene(told)["scene"]["task"] == "modes"
+    for damaged in (
+        "loads = 3",
+        "[loads]\ngravity = 'up'",
+        "[loads]\n# --set loads.gravity.x=1",
+        "# --set =",
+        "=",
+    ):
+        assert np.array_equal(upright(parse_scene(damaged)), [0, 1, 0])
 
 
 def test_render(result, tmp_path):

@@ -1,6 +1,5 @@
 """Where to look at a shape from: upright axis, direction, and the tightest frame around all its points."""
 
-import tomllib
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from voile.arrays import Reals
 from voile.errors import InputError
+from voile.keys.overrides import overridden
 
 VIEWS = {
     "front": (0.0, 0.0),
@@ -46,16 +46,20 @@ class Camera:
 
 
 def parse_scene(text: str) -> dict[str, Any]:
-    """The scene stored with a result; empty where there is none that reads as TOML."""
+    """The tables of the scene stored with a result, as overrides on the command line made them; empty where there is
+    none that reads."""
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
+        return {name: table for name, table in overridden(text).items() if isinstance(table, dict)}
+    except InputError:
         return {}
 
 
 def upright(scene: dict[str, Any]) -> Reals:
     """Unit vector against gravity along the nearest axis; y, as garments come, where there is no gravity."""
-    gravity = np.asarray(scene.get("loads", {}).get("gravity", (0.0, -9.81, 0.0)), dtype=float)
+    try:
+        gravity = np.array(scene.get("loads", {}).get("gravity"), dtype=float).reshape(3)
+    except (TypeError, ValueError):
+        gravity = np.zeros(3)
     axis = int(np.argmax(np.abs(gravity))) if gravity.any() else 1
     up = np.zeros(3)
     up[axis] = -1.0 if gravity[axis] > 0 else 1.0

@@ -9,6 +9,7 @@ from typing import Any
 
 from voile.errors import InputError
 from voile.keys import Rejected, Table
+from voile.keys.overrides import TOLD, apply, parts_of
 from voile.scene.library import expand
 from voile.scene.plain import plain, toml, toml_value
 from voile.scene.schema import Scene, homes
@@ -32,7 +33,7 @@ def read_scene(
     tree, text, places = given.tree, given.text, dict(given.places)
     told = []
     for name, value, shown in _overrides(overrides):
-        new = _apply(tree, name, value, shown)
+        new = apply(tree, name, value, shown)
         told.append(shown)
         places = {at: place for at, place in places.items() if at[: len(new)] != new} | {
             new: f"--set {shown}"
@@ -47,7 +48,7 @@ def read_scene(
         raise refusal(path, places, problem, error.path) from None
     if told and not text.endswith("\n"):
         text += "\n"
-    text += "".join(f"# --set {override}\n" for override in told)
+    text += "".join(f"{TOLD}{override}\n" for override in told)
     found: Scene = dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
     return found
 
@@ -192,62 +193,4 @@ def _overrides(given: Iterable[str] | Mapping[str, Any]) -> Iterator[tuple[str, 
             yield name, tree, f"{name}={toml_value(tree)}"
         return
     for override in given:
-        yield *_parts(override), override
-
-
-def _parts(override: str) -> tuple[str, Any]:
-    """Name and value of "key=value"."""
-    if not override.isprintable():  # it becomes one line of messages and of the scene's text
-        raise InputError(
-            f"--set {override!r}: a line break or control character; allowed: one printable line"
-        )
-    name, equals, text = override.partition("=")
-    if not equals:
-        raise InputError(f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy")
-    return name, _parse(text.strip(), override)
-
-
-def _apply(tree: dict[str, Any], name: str, value: Any, override: str) -> KeyPath:
-    """Sets one key of the tree; returns the path of what is new, the key or a table made for it."""
-    parts = [part.strip() for part in name.split(".")]
-    if not all(parts):
-        raise InputError(f"--set {override}: allowed: key=value, such as shell.young=2e5 or fix.0.axes=xy")
-    path: KeyPath = ()
-    new: KeyPath = ()
-    node: Any = tree
-    for last, part in ((position == len(parts) - 1, part) for position, part in enumerate(parts)):
-        at = _step(node, part, path, override)
-        path += (at,)
-        if not new and (last or (isinstance(node, dict) and part not in node)):
-            new = path
-        if last:
-            node[at] = value
-        else:
-            node = node.setdefault(at, {}) if isinstance(node, dict) else node[at]
-    return new
-
-
-def _step(node: Any, part: str, path: KeyPath, override: str) -> str | int:
-    """The key or index that one part of an override's name means in the table, or array of tables, `node`."""
-    if isinstance(node, dict):
-        return part
-    name = ".".join(map(str, path))
-    if not isinstance(node, list) or not all(isinstance(entry, dict) for entry in node):
-        raise InputError(f"--set {override}: {name} is not a table; allowed: {name}=VALUE")
-    if not part.isdecimal() or int(part) >= len(node):
-        allowed = f"an index from 0 to {len(node) - 1}" if node else "nothing, it is empty"
-        raise InputError(f"--set {override}: {name}.{part}: allowed: {allowed}")
-    return int(part)
-
-
-def _parse(value: str, override: str) -> Any:
-    """A TOML value, or text without its quotes."""
-    try:
-        parsed = tomllib.loads(f"value = {value}")
-    except (ValueError, RecursionError):
-        if value[:1] in ("[", "{", '"', "'"):
-            raise InputError(f"--set {override}: the value is not TOML: {value}") from None
-        return value
-    if set(parsed) != {"value"}:
-        raise InputError(f"--set {override}: allowed: one value")
-    return parsed["value"]
+        yield *parts_of(override), override
