@@ -280,8 +280,9 @@ def figures_of(runs: Runs, records: list[Record]) -> list[str]:
 
 
 def _numbers(node: object, name: str) -> Iterator[str]:
-    if isinstance(node, dict):
-        for key, value in node.items():
-            yield from _numbers(value, f"{name}.{key}" if name else key)
+    if isinstance(node, dict | list):
+        items = node.items() if isinstance(node, dict) else enumerate(node)
+        for key, value in items:
+            yield from _numbers(value, f"{name}.{key}" if name else str(key))
     elif isinstance(node, int | float) and not isinstance(node, bool):
         yield name

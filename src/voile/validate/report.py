@@ -1,5 +1,6 @@
 """What `voile validate` says: a table, JSON, a plot each."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from voile.validate.protocol import Check, Plot, Verdict
 
 COLUMNS = ("protocol", "quantity", "value", "reference", "deviation", "bound", "pass")
 WIDTHS = (20, 62, 12, 12, 10, 9, 4)
+TITLE = 80  # letters that fit over a plot
 
 
 def heading() -> str:
@@ -98,7 +100,7 @@ def draw(out: Path, plot: Plot, title: str) -> None:
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     try:
         paint(axes, plot)
-        axes.set_title(title, loc="left", color=INK, fontsize=10)
+        axes.set_title(textwrap.fill(title, TITLE), loc="left", color=INK, fontsize=10)
         with replacing(out) as file:
             figure.savefig(file, dpi=130, format="png")
     finally:
