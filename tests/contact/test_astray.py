@@ -56,6 +56,15 @@ def test_supports_that_fold_the_shell_over_are_told_at_once(tmp_path):
     assert path.counts.factorisations < 900 and len(path.steps) > 10
 
 
+# Factorisations from supports put to their new places at once: 369 and 708.
+@pytest.mark.parametrize("seed, most, energy", [(36, 150, 0.001528), (29, 500, 0.06306)])
+def test_where_supports_lead_the_shell_is_predicted(seed, most, energy, tmp_path):
+    path, problem = solved(seed, tmp_path)
+    assert path.converged and path.stable
+    assert path.counts.factorisations < most
+    assert sum(problem.energies(path.state).values()) < energy
+
+
 def test_steps_grow_again_after_two_without_trouble():
     control = StepControl(0.1, 2)
     control.take_back()

@@ -169,4 +169,4 @@ class Contact(NaturalMap):
 
     def linearise(self, x: Reals, t: float) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions."""
-        return Linearised(self, [Equations(self, p) for p in self.pairs(x, t)])
+        return Linearised(self, [Equations(self, p) for p in self.pairs(x, t, pliable=True)])

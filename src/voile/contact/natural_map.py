@@ -32,7 +32,8 @@ class NaturalMap:
 
     offset (m): from the mid-surface to the surface that touches, one or (k obstacles, n vertices); stiffness (N/m):
     about the shell's own at a vertex, the natural map's scale; movable (n,): vertices with unknowns; own (n,): those
-    counted here (each vertex on one rank); touch (m): a gap that is none to round-off.
+    counted here (each vertex on one rank); touch (m): a gap that is none to round-off; pliable (N/m): about the
+    stiffness with which the shell bends at a vertex, which decides what opens.
     """
 
     obstacles: list[Obstacle]
@@ -42,6 +43,7 @@ class NaturalMap:
     own: Flags
     touch: float
     itself: SelfContact | None = None
+    pliable: float = np.inf
     inertia: float = 0.0  # N/m, that of a vertex over a step in time
     history: History = field(init=False)
     layers: float = LAYERS  # factor on that of the shell against itself
@@ -76,6 +78,12 @@ class NaturalMap:
             yield
         finally:
             self.layers, self.most = LAYERS, np.inf
+
+    @property
+    def opening(self) -> float:
+        """Factor on rho where the equations decide what opens: a Newton step leaves gaps of second order, and times the
+        stiffness of the membrane these would outweigh any reaction of a cloth. Layers are tight."""
+        return 1.0 if self.itself else min(max(self.pliable, self.inertia) / self._scale, 1.0)
 
     @property
     def penalty(self) -> float:
@@ -152,11 +160,14 @@ class NaturalMap:
         found: Reals = self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
         return found
 
-    def pairs(self, x: Reals, t: float, softness: float = 1.0, *, frozen: bool = False) -> list[Pairs]:
+    def pairs(
+        self, x: Reals, t: float, softness: float = 1.0, *, frozen: bool = False, pliable: bool = False
+    ) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction. softness: of rho; frozen: normals and weights of the
-        history instead of x's."""
+        history instead of x's; pliable: see `opening`."""
         began = time.perf_counter()
-        found = [self._near(k, x, t, softness, frozen) for k in range(len(self.partners))]
+        across = softness * (self.opening if pliable else 1.0)
+        found = [self._near(k, x, t, softness, across, frozen) for k in range(len(self.partners))]
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
@@ -173,9 +184,10 @@ class NaturalMap:
         rows = np.flatnonzero(near & partner.movable(s))
         return wide, rows, gap[rows]
 
-    def _near(self, k: int, x: Reals, t: float, softness: float, frozen: bool) -> Pairs | None:
-        partner, rho = self.partners[k], self.rho(k, softness)
-        wide, rows, _ = self.near(k, x, t, rho, frozen)
+    def _near(self, k: int, x: Reals, t: float, softness: float, across: float, frozen: bool) -> Pairs | None:
+        """softness: of rho along, across: of that across the partner's surface."""
+        partner, rho, steep = self.partners[k], self.rho(k, softness), self.rho(k, across)
+        wide, rows, _ = self.near(k, x, t, steep, frozen)
         if not len(rows):
             return None
         s = self.history
@@ -185,7 +197,7 @@ class NaturalMap:
         normal, weight = (s.frozen_normal[k][rows], s.frozen_weight[k][rows]) if frozen else (unit, g.weight)
         d = partner.moved(rows, weight, wide, t, s)
         trial = within(normal, s.friction[k][rows] - rho * d)
-        lam_n = s.normal[k][rows] - rho * g.gap
+        lam_n = s.normal[k][rows] - steep * g.gap
         slip = within(normal, d)
         return Pairs(k, partner.friction, rho, rows, g, unit, gradient_norm, lam_n, trial, slip, weight)
 

@@ -34,11 +34,16 @@ def with_obstacles(
     part = problem.part
     unknowns = np.diff(part.matrix.indptr)[: 3 * len(part.vertex)].reshape(-1, 3)
     stiffness = part.fabric[0] * part.fabric[1]
-    total = problem.comm.allreduce(np.array([stiffness @ part.weight, part.weight.sum()]))
-    scale = float(total[0] / total[1])
+    bending, area = (
+        stiffness * part.fabric[0] ** 2 / 12.0,
+        triangle_areas(part.rest_points, part.rest_corners),
+    )
+    totals = [stiffness @ part.weight, bending @ part.weight, area @ part.weight, part.weight.sum()]
+    stretches, bends, covers, count = problem.comm.allreduce(np.array(totals))
+    scale, pliable = float(stretches / count), float(bends / covers)
     movable = unknowns.any(axis=1)
     itself = None if layers is None else _on_itself(problem, layers, movable)
-    contact = Contact(obstacles, offset, scale, movable, problem.own, TOUCH * problem.size(), itself)
+    contact = Contact(obstacles, offset, scale, movable, problem.own, TOUCH * problem.size(), itself, pliable)
     return problem.with_contact(contact, *([ImpenetrableLayers(contact)] if itself else []))
 
 

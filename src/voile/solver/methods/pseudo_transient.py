@@ -5,6 +5,7 @@ laws lag behind by a step. Slip is measured from the step's start. Once inertia 
 semismooth method finishes without it. A shell that nothing holds slides on and on: then there is no equilibrium.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
 from voile.solver.balance import slides
 from voile.solver.cascade import attempt
+from voile.solver.methods.augmented_lagrangian import Astray
+from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome, Workspace
 from voile.solver.methods.semismooth import Semismooth
@@ -61,6 +64,7 @@ class Options:
     near: float = 1e-3
     blurred: float = 0.1
     astray: float = 0.01
+    longest_pause: int = 4
 
 
 class PseudoTransient:
@@ -95,6 +99,7 @@ class PseudoTransient:
         if self._fresh(problem):
             rate = options.fresh_rate * slow
         slips = not contact.moves  # what sticks has gone along with moving obstacles
+        wait, pause = 0, 1  # steps until a longer one is tried, after the next refusal
         for _ in range(options.steps):
             if saddle:
                 if kicks == KICKS:
@@ -113,6 +118,7 @@ class PseudoTransient:
             if done is None or not self._admissible(problem, before, y):
                 problem.restore(y, before)
                 rate *= 1.0 if self._sharpened(problem, y, tolerance) else options.raise_
+                wait, pause = pause, min(2 * pause, options.longest_pause)
                 if rate > options.last_rate * slow:
                     missed = self.descent.nonlinear.missed(self.name, y)
                     return self._failed(f"no step of pseudo-time converges; {missed.reason}")
@@ -126,9 +132,10 @@ class PseudoTransient:
                 continue
             inertia = step.term_norm(inertial, y)
             peak = max(peak, inertia) if np.isfinite(peak) else inertia
+            held, wait = (rate if wait else 0.0), max(wait - 1, 0)
             if not self._fresh(problem):
-                rate = self._next(rate, slow)
-            elif problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * room:
+                rate = max(self._next(rate, slow), held)
+            elif not held and problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * room:
                 rate *= options.fade  # it falls on, or hangs freely
             if inertia > min(options.near * loads, 0.3 * peak):
                 continue
@@ -161,6 +168,10 @@ class PseudoTransient:
         """Whether the step from a state to y may be taken."""
         return True
 
+    def _astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
+        """Tells of an iterate that leads no step that may be taken."""
+        return None
+
     def _room(self, problem: Problem, y: PETSc.Vec, driven: float) -> float:
         """Sizes by which a step without friction may move from y; driven: by which supports have moved."""
         contact, x = contact_of(problem), problem.positions(y)
@@ -182,7 +193,7 @@ class PseudoTransient:
         if not contact.itself:  # layers take long to settle again
             perturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
-        done = self.descent.run(problem, y, rough, options.iterations)
+        done = self.descent.run(problem, y, rough, options.iterations, self._astray(problem))
         if fresh and problem.largest_motion(difference(y, home)) > room:
             return None
         if done:
@@ -237,6 +248,9 @@ class WatchedTransient(PseudoTransient):
     def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         was, now = problem.positions(problem.unknowns_of(before)), problem.time
         return not leads_through(problem, was, now, problem.positions(y), self.options.astray)
+
+    def _astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
+        return Astray(problem, LagrangianOptions(astray=self.options.astray))
 
 
 def _driven(problem: Problem) -> float:

@@ -31,19 +31,22 @@ from voile.solver.path import (
 )
 from voile.solver.stability import NEUTRAL, contact_tangent, is_stable, reach, smallest_eigenpair
 from voile.solver.stepping.control import StepControl
+from voile.solver.stepping.predictor import edge_length, predict
 from voile.solver.stepping.restart import packed_path, packed_state, unpacked_path, unpacked_state
 
 
 @dataclass
 class Options:
     """cuts: quartered load steps before all methods are tried; patient: the same where loads have no potential to
-    descend on. jump: times the motion to be expected that a step may make; doubtful: the same where no short step led
-    on, for a buckled shell that is bent on moves ever less. notable: sizes of the shell; a smaller motion is none.
-    nearby: sizes; a gap at which an obstacle touches. rounds: solves at one load until the tolerance, taken from the
-    state, has settled."""
+    descend on. far: edges of triangles; where supports or obstacles go further in a load step with contact, its
+    equilibrium is predicted: over less, Newton's method does as well, and decides by itself what sticks. jump: times
+    the motion to be expected that a step may make; doubtful: the same where no short step led on, for a buckled shell
+    that is bent on moves ever less. notable: sizes of the shell; a smaller motion is none. nearby: sizes; a gap at
+    which an obstacle touches. rounds: solves at one load until the tolerance, taken from the state, has settled."""
 
     cuts: int = 2
     patient: int = 8
+    far: float = 0.1
     jump: float = 5.0
     doubtful: float = 2.0
     notable: float = 0.01
@@ -75,6 +78,7 @@ class LoadPath:
         if options.load_factors:
             first = float(np.diff((0.0, *marks)).max())
         self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0, marks=marks)
+        self.edge = edge_length(problem) / problem.size()
         self.moving = problem.moves or bool(contact and contact.moves)
 
     def follow(
@@ -98,6 +102,9 @@ class LoadPath:
             self.problem = problem = self.problem.at(control.target)
             if problem.contact and problem.contact.moves and not problem.held:
                 self._carry()
+            elif problem.contact and self._driven() > self.options.far * self.edge:
+                most = self.options.jump * self._expected()
+                predict(self.solver.work, problem, self.y, control.factor, most)
             done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
@@ -279,13 +286,18 @@ class LoadPath:
     def _expected(self) -> float:
         """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or
         of obstacles beside the shell."""
+        control = self.control
+        before = control.rate * (control.target - control.factor)
+        return max(before, self._driven(), self.options.notable / self.options.jump)
+
+    def _driven(self) -> float:
+        """That of supports and obstacles alone."""
         problem, control = self.problem, self.control
         start, end, contact = control.factor, control.target, contact_of(problem)
         x = contact.history.reference[problem.own]
         paths = [problem.part.supports.between(start, end)[: contact.history.reference.size]]
         paths += [(o.carry(x, start, end) - x).ravel() for o in contact.obstacles]
-        driven = problem.in_sizes(np.concatenate(paths))
-        return max(control.rate * (end - start), driven, self.options.notable / self.options.jump)
+        return problem.in_sizes(np.concatenate(paths))
 
     # ---- stable ends ----
 

@@ -1,0 +1,90 @@
+"""Euler's predictor of a load step: where an equilibrium goes with its supports and obstacles, to first order.
+
+Put to their new places at once, supports strain the triangles beside them by their whole motion, which Newton's
+method then has to take out again: a sheet pinned at a corner, led over a ball, took five times as many factorisations.
+"""
+
+import numpy as np
+from petsc4py import PETSc
+
+from voile.arrays import Reals
+from voile.contact.directions import lengths
+from voile.contact.natural_map import STUCK
+from voile.contact.pairs import outer, times
+from voile.problem.contact import contact_of
+from voile.problem.matrix import Blocks
+from voile.problem.problem import Problem
+from voile.problem.scales import slow_rate
+from voile.problem.shell import triangle_areas
+from voile.solver.methods.method import Workspace
+from voile.solver.methods.steps import descent_direction
+
+SHARE = (
+    1e-4  # of a load step, from which forces' rates are taken: far above round-off, of next to no curvature
+)
+
+
+def predict(work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float) -> bool:
+    """Moves y from an equilibrium at the time `began` towards that at the problem's; whether it did: where no motion is
+    more than `most` sizes and the shell out of balance by less than where it was. Nothing slides that the load step
+    does not move: where the tangent is not positive definite the safe one serves, with some mass."""
+    before, force, there = problem.at(began), y.duplicate(), y.duplicate()
+    rate, step = _rate(problem, y, began), y.duplicate()
+    blocks, carried = _contacts(problem, y, began)
+    rate.array[:] -= problem.layout.collect(problem.point(y).over_dofs(carried))
+    problem.residual(y, force)
+    least = force.norm()
+    for kind, shift in (("exact", 0.0), ("safe", slow_rate(problem))):
+        before.tangent(y, work.matrix, kind, blocks, shift)
+        work.symmetric.factor(work.matrix)
+        if not work.symmetric.usable or work.symmetric.negative:
+            continue
+        descent_direction(work.symmetric, rate, step)
+        if not problem.largest_motion(step) < most or before.longest_step(y, step) < 1.0:
+            continue
+        there.waxpy(1.0, step, y)
+        problem.residual(there, force)
+        if force.norm() < least:
+            there.copy(y)
+            return True
+    return False
+
+
+def edge_length(problem: Problem) -> float:
+    """That of a square of two mean triangles (m)."""
+    part = problem.part
+    area = triangle_areas(part.rest_points, part.rest_corners)
+    total, count = problem.comm.allreduce(np.array([area @ part.weight, part.weight.sum()]))
+    return float(np.sqrt(2.0 * total / count))
+
+
+def _rate(problem: Problem, y: PETSc.Vec, began: float) -> PETSc.Vec:
+    """What of the residual (N) changes with time alone, over the load step."""
+    start, rate = y.duplicate(), y.duplicate()
+    problem.at(began).residual(y, start)
+    problem.at(began + SHARE * (problem.time - began)).residual(y, rate)
+    rate.axpy(-1.0, start)
+    rate.scale(1.0 / SHARE)
+    return rate
+
+
+def _contacts(problem: Problem, y: PETSc.Vec, began: float) -> tuple[Blocks, Reals]:
+    """Springs that keep active contacts closed and lead what sticks with its obstacle, and their forces (n, 3) N over
+    the load step."""
+    contact, x = contact_of(problem), problem.at(began).positions(y)
+    force, blocks = np.zeros_like(x), []
+    for p in contact.pairs(x, began):
+        normal, friction = (
+            part[p.index][p.row] for part in (contact.history.normal, contact.history.friction)
+        )
+        active = normal > 0.0
+        sticks = active & (lengths(friction) < (1.0 - STUCK) * p.friction * p.gradient_norm * normal)
+        block = active[:, None, None] * outer(p.gradient, p.gradient)
+        block += sticks[:, None, None] * (np.eye(3) - outer(p.unit, p.unit))
+        block *= contact.penalty
+        if p.index < len(contact.obstacles):
+            there = contact.obstacles[p.index].carry(x[p.row], began, problem.time)
+            force[p.row] += times(block, there - x[p.row])
+        curved = np.where(active, normal, 0.0)[:, None, None] * p.curvature
+        blocks.append((p.stencil, p.over_vertices(block, p.geometry.weight) - curved))
+    return blocks, force
