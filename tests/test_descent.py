@@ -7,6 +7,7 @@ from test_problem import make_shell, sheet
 
 from voile.problem.imperfection import perturb
 from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
 from voile.solver.methods.descent import Descent, shorter
 from voile.solver.methods.method import Workspace
 from voile.solver.methods.steps import factor
@@ -52,3 +53,31 @@ def test_a_cloth_folds_in_few_steps():
     descent = Descent(work)
     assert descent.run(problem, y, 1e-8 * problem.load_norm(y))
     assert len(descent.steps) < 50 and problem.energy(y) < -0.7381
+
+
+def test_short_steps_hold_back_only_what_goes_far():
+    problem = Problem(hanging(6), MPI.COMM_SELF)
+    y, work = problem.create_vector(), Workspace(problem)
+    descent = Descent(work)
+    assert not descent.run(problem, y, 1e-8 * problem.load_norm(y), 1)
+    count = len(problem.vertex_mass())
+    way = np.full((count, 3), 1e-4)
+    way[5] = 1.0
+    iteration = descent.iteration
+    iteration.shift = np.zeros(count)
+    iteration._adapt(0.05, field_vector(problem, way))
+    held = np.flatnonzero(iteration.shift)
+    assert held.tolist() == [5]
+    once = iteration.shift[5]
+    iteration._adapt(0.05, field_vector(problem, way))
+    assert iteration.shift[5] == 4.0 * once
+    values = []
+    for shift in (0.0, iteration.shift):
+        problem.tangent(y, work.matrix, shift=shift)
+        values.append(work.matrix.getDiagonal().array.copy())
+    added = values[1] - values[0]
+    np.testing.assert_allclose(
+        added[np.abs(added) > 1e-12 * abs(values[0]).max()], 4.0 * once * problem.vertex_mass()[5]
+    )
+    iteration._adapt(1.0, field_vector(problem, way))
+    assert iteration.shift[5] == pytest.approx(0.4 * once) and not iteration.shift[:5].any()

@@ -48,7 +48,7 @@ class Dead(Term):
 
 
 def mass_blocks(mass: Reals, coefficient: float | Reals) -> tuple[Ints, Reals]:
-    """The vertices with mass (kg) and coefficient (one or (n, 3)) times it, (p, 3, 3)."""
+    """The vertices with mass (kg) and coefficient (one, (n, 1) or (n, 3)) times it, (p, 3, 3)."""
     vertex = np.flatnonzero(mass)
     scaled = (coefficient * mass[:, None])[vertex]
     return vertex, scaled[:, :, None] * np.eye(3)

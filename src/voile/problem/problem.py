@@ -231,18 +231,19 @@ class Problem:
         matrix: PETSc.Mat,
         kind: str = "exact",
         contact: Blocks = (),
-        shift: float = 0.0,
+        shift: float | Reals = 0.0,
     ) -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). To be added: `contact`,
-        what the linearised laws do; shift (1/s^2), a multiple of the mass C^T M C."""
+        what the linearised laws do; shift (1/s^2; one, or (local
+        vertices,)), a multiple of the mass C^T M C."""
         stop_if_told(self.comm)
         PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
         at, blocks = self.point(y), list(contact)
         for term in self.terms:
             blocks += term.blocks(at, kind)
-        if shift:
-            blocks.append(mass_blocks(self.vertex_mass(), shift))
+        if not self.everywhere(not np.any(shift)):
+            blocks.append(mass_blocks(self.vertex_mass(), np.reshape(shift, (-1, 1))))
         likely = self.contact.history.candidates.vertex if self.contact else None
         self._assembly.prepare(matrix, self.kernel, blocks, likely)
         for term in self.terms:

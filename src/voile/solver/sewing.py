@@ -56,6 +56,7 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             welds=None,
         )
     problem = Problem(loose, comm)
+    problem.elastic.passes = True  # panels that are drawn together lie through each other at first
     descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))
     descent.settled = _settled
     y = problem.create_vector()

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.solver.linear import LinearSolver
@@ -50,7 +51,7 @@ class Skewed:
 
 
 def factor(
-    work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float = 0.0, share: float = 1.0
+    work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float | Reals = 0.0, share: float = 1.0
 ) -> LinearSolver:
     """The tangent at y, with a multiple of the mass (1/s^2), factored; of a safe one that share, the rest exact.
     Systems are solved with its skew part, too, where loads have no potential."""
