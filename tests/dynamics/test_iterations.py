@@ -59,3 +59,14 @@ def test_stiff_sheets_go_on_with_complete_factors():
     assert counts.krylov > 0  # each step tries
     assert seen.steps[-1].contact["max_penetration"] < 1e-12
     assert seen.steps[-1].residual <= seen.steps[-1].tolerance
+
+
+def test_a_free_step_takes_one_factor_and_few_iterations():
+    """Newton steps are as rough as their squares allow, with one tangent where that goes on well; the books close."""
+    points, triangles = sheet(24, 24, 1.2, 1.2)
+    held = np.flatnonzero(points[:, 0] < 1e-9)
+    shell = cloth(points, triangles, held, model="koiter/average/stvk", young=2e4, density=3e3)
+    run = move(shell, "implicit-euler", STEP, 8 * STEP, tolerance=1e-6)
+    counts = run.path.counts
+    assert counts.factorisations <= 8 and counts.krylov <= 12 * 8
+    assert abs(run.path.books.error) < 1e-10 * run.path.books.most

@@ -18,7 +18,7 @@ from voile.problem.elastic import Elastic
 from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
 
-Nodes = tuple[tuple[float, float], ...]  # places in (0, 1] along the way, with weights
+Nodes = tuple[tuple[float, float], ...]  # places in [0, 1] along the way, with weights
 END: Nodes = ((1.0, 1.0),)
 
 
@@ -38,6 +38,11 @@ def mean_nodes(share: float) -> Nodes:
 def middle_nodes(share: float) -> Nodes:
     """`share` times the value in the middle of the way plus 1 - share times that at its end."""
     return tuple((s, weight) for s, weight in ((0.5, share), (1.0, 1.0 - share)) if weight)
+
+
+def end_nodes(share: float) -> Nodes:
+    """Half of `share` times the value at the start, the rest times that at the end."""
+    return tuple((s, weight) for s, weight in ((0.0, 0.5 * share), (1.0, 1.0 - 0.5 * share)) if weight)
 
 
 @dataclass

@@ -24,6 +24,7 @@ from voile.results.writer import import_h5py
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+PIECE = 1 << 12  # rows that are copied at a time: no array is as long as the run
 PAUSE, SHARE = 2.0, 20.0  # s between two writes at least, and that many times what the last one took
 TABLES, A_TABLE = (
     1 << 13,
@@ -108,8 +109,12 @@ class HistoryWriter:
             return len(group["time"])
         with self._h5py.File(self._file, "r") as file:
             for name, old in file["voile/history"].items():
-                kept = old[: self.stored]
-                group[name] = np.concatenate([kept, since.get(name, kept[:0])])
+                new = since.get(name, old[:0])
+                rows = group.create_dataset(name, (self.stored + len(new), *old.shape[1:]), old.dtype)
+                for begin in range(0, self.stored, PIECE):
+                    end = min(begin + PIECE, self.stored)
+                    rows[begin:end] = old[begin:end]
+                rows[self.stored :] = new
         return len(group["time"])
 
 

@@ -242,7 +242,11 @@ class Scene:
         centred = (d.scheme, d.theta) == ("moreau-jean", 0.5) or (
             (d.scheme, d.spectral_radius) == ("generalized-alpha", 1.0)
         )
-        if d.keeps != "energy" and not centred:
+        if d.keeps == "nothing" and d.scheme not in ("moreau-jean", "generalized-alpha"):
+            raise Rejected(
+                '"nothing" fits scheme = "moreau-jean" or "generalized-alpha"', ("dynamics", "keeps")
+            )
+        if d.keeps == "angular-momentum" and not centred:
             raise Rejected(
                 f'"{d.keeps}" fits scheme = "moreau-jean" with theta = 0.5, or "generalized-alpha" with '
                 "spectral_radius = 1",

@@ -116,8 +116,9 @@ class Dynamics:
         Number(least=0.5, most=1), "moreau-jean: weight of the forces at the step's end", default=1.0
     )
     keeps: str = key(
-        Choice("energy", "angular-momentum"),
-        "moreau-jean with theta 1/2, generalized-alpha with spectral_radius 1: what a step keeps to round-off",
+        Choice("energy", "angular-momentum", "nothing"),
+        "moreau-jean with theta 1/2, generalized-alpha with spectral_radius 1: what a step keeps to round-off; "
+        "nothing: forces at both ends of a step, which strain no stiff sheet that turns",
         default="energy",
     )
     damping: Damping = key(Table(Damping), "Rayleigh damping", default=Damping())

@@ -79,11 +79,22 @@ class Workspace:
             self._unsymmetric = eased if self.inertia else direct
         return self._unsymmetric
 
-    def iterate(self, tries: bool) -> None:
-        """Whether systems are tried by iteration from here on."""
+    @property
+    def rough(self) -> bool:
+        """Whether Newton steps may be, and with the last factor (see `iterate`)."""
+        return isinstance(self.symmetric, Iterative) and self.symmetric.wanted > 0.0
+
+    def careful(self) -> None:
+        """Ends that Newton steps are rough."""
+        if isinstance(self.symmetric, Iterative):
+            self.symmetric.wanted = 0.0
+
+    def iterate(self, tries: bool, wanted: float = 0.0) -> None:
+        """Whether systems are tried by iteration from here on, for a step of the tolerance `wanted` (N): those
+        without contact or drag, whose Newton steps may then be rough."""
         for solver in (self.symmetric, self.unsymmetric):
             if isinstance(solver, Iterative):
-                solver.tries = tries
+                solver.tries, solver.wanted = tries, wanted
 
 
 class Iteration(Protocol):

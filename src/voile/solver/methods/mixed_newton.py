@@ -14,6 +14,8 @@ from voile.solver.methods.steps import Stall, Step, descent_direction, factor, l
 
 DIVERGED = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
 STALLED = PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH
+ROUGH = 0.3  # contraction of a residual, from which on solves are exact
+CORRECTIONS = 2  # with the last factor, which cost a step in time less than a new tangent
 
 
 @dataclass
@@ -58,12 +60,17 @@ class Iterate:
         residual, direction, start, stall = snes.getFunction()[0], y.duplicate(), y.copy(), Stall()
         method.steps = []
         snes.computeFunction(y, residual)
-        first = norm = residual.norm()
+        first = before = norm = residual.norm()
+        if method.work.rough and first > problem.load_norm(y):
+            method.work.careful()
         reason = test(snes, 0, y, direction, norm)
         for it in range(1, snes.getTolerances()[3] + 1):
             if reason:
                 break
-            linear = factor(method.work, problem, y, "exact" if it == 1 else "mixed")
+            goes_on = norm * (norm / before) ** CORRECTIONS <= snes.getTolerances()[1]
+            if not (goes_on and method.work.rough):
+                linear = factor(method.work, problem, y, "exact" if it == 1 else "mixed")
+            before = norm
             if not linear.usable or not np.isfinite(descent_direction(linear, residual, direction)):
                 break
             method.negative = linear.negative if it == 1 else None  # the others are not exact
@@ -73,6 +80,8 @@ class Iterate:
             y.axpy(1.0, direction)
             snes.computeFunction(y, residual)
             norm = residual.norm()
+            if norm > ROUGH * before:
+                method.work.careful()
             if not np.isfinite(norm) or (it > 3 and norm > method.options.growth * first):
                 break
             method.steps.append(Step(it, norm, np.nan, 1.0, False, 0.0))

@@ -87,7 +87,7 @@ class Books:
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
         inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
         elastic, loads = forces.elastic.forces(at), forces.loads(at)
-        springs = sum((term.forces(at) for term in forces.springs), np.zeros_like(loads))
+        springs = sum((term.forces(at) for term in forces.springs), forces.began)
         damping = forces.resistance(at, step.prediction)
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         clamps, damped = map(float, problem.comm.allreduce(np.array(forces.clamp_work(at))))

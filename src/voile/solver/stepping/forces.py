@@ -18,7 +18,8 @@ from voile.solver.stepping.schemes import Kinematics, Prediction, Scheme
 class StepForces:
     """Of a step of `scheme` over h (s) from the point `start`, with the kinematics before; problem: at the step's end.
 
-    Stiffness damping acts on the elastic force's mean rate over the step: share (F(x) - F_n), share = b / h.
+    The elastic force and springs' at the start count by `first`: `began` (dofs,) N. Stiffness damping acts on the
+    elastic force's mean rate over the step: share (F(x) - F_n), share = b / h.
     """
 
     problem: Problem
@@ -31,7 +32,8 @@ class StepForces:
 
     def __post_init__(self) -> None:
         problem, early = self.problem, self.scheme.early
-        nodes = self.scheme.nodes
+        nodes = tuple((s, weight) for s, weight in self.scheme.nodes if s)
+        self.first = sum(weight for s, weight in self.scheme.nodes if not s)
         self.elastic = self._mean(nodes)
         self.springs = problem.springs
         if nodes != END:
@@ -42,6 +44,12 @@ class StepForces:
         self.early = early * problem.loads.forces(self.start) if early else dead
         if early:
             self.late, dead = problem.loads.scaled(1.0 - early), dead + self.early
+        self.began = np.zeros_like(self.lag)
+        if self.first:  # directors follow at every instant
+            count = problem.layout.vertices
+            terms = (problem.elastic, *problem.springs)
+            self.began[:count] = self.first * sum(term.forces(self.start)[:count] for term in terms)
+            dead = dead + self.began
         damped = self.elastic
         if self.share:
             self.lag = self.share * problem.elastic.forces(self.start)
@@ -86,7 +94,10 @@ class StepForces:
         damping = 0.0
         if self.share:
             damping = self.share * self.problem.elastic.clamp_work(at, since, until) - self.lag_work
-        return self.elastic.clamp_work(at, since, until), damping
+        at_start = (
+            self.first * self.problem.elastic.clamp_work(self.start, since, until) if self.first else 0.0
+        )
+        return at_start + self.elastic.clamp_work(at, since, until), damping
 
     def wind_work(self, at: Point, prediction: Prediction) -> float:
         """What the moving air works on this rank (J)."""
