@@ -35,7 +35,7 @@ from voile.problem.loads import LOADS
 from voile.problem.local_axes import Hold, combined
 from voile.problem.sections import Section
 from voile.problem.shell import Shell, seam_gaps, triangle_areas
-from voile.problem.supports import check_supports, free_motions
+from voile.problem.supports import check_supports, free_motions, holds_a_piece
 from voile.results import Body, StaticMesh
 from voile.scene import Scene
 from voile.scene.motion import motion_of
@@ -135,8 +135,10 @@ def build_model(scene: Scene) -> Model:
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
     if scene.scene.task == "modes":
         _check_modes(scene, shell, bodies)
-    elif scene.scene.task != "dynamics" and not (bodies and _pressed(shell, bodies)):
-        check_supports(shell)
+    elif scene.scene.task != "dynamics":
+        carried = bodies or (scene.contact.self_contact and holds_a_piece(shell))
+        if not (carried and _pressed(shell, bodies)):
+            check_supports(shell)
     cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
     notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
     return Model(shell, surface, rest, notes, bodies, offset, cuts, holds, sections_of(scene, surface, loops))

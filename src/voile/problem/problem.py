@@ -22,6 +22,7 @@ from voile.problem.partition import Part, bounding_size, distribute
 from voile.problem.shell import Shell
 from voile.problem.springs import springs_of
 from voile.problem.state import State
+from voile.problem.supports import pieces_of
 from voile.problem.terms import Point, Term
 from voile.problem.unknowns import Unknowns
 
@@ -38,7 +39,8 @@ class Problem:
     They share the layout, the rest shape and `contact`, whose history is a part of the state.
 
     `conservative` is False where a load has no potential (pressure up to a free boundary, end moments); its work is
-    then left out of `energy`. `moves`: some support does; `held`: there is one; `supported`: along every axis there is.
+    then left out of `energy`. `moves`: some support does; `held`: there is one; `supported`: each piece has one along
+    every axis.
     `turned`: supports hold along local axes. `kept` (local vertices, 3, 3): the part of a vertex's
     motion that follows no unknown.
     `monitor(time, iteration, residual in N)`, if set, is told of every Newton iteration.
@@ -66,11 +68,20 @@ class Problem:
         self.monitor: Monitor | None = None
         self.own = self.loads.own
         self.kept = _kept(part)
-        along = np.linalg.eigvalsh(comm.allreduce(self.kept.sum(axis=0))) > ROUND_OFF
+        along = np.linalg.eigvalsh(self._kept_by_piece()) > ROUND_OFF
         self.held, self.supported = bool(along.any()), bool(along.all())
         self.moves = bool(comm.allreduce(part.supports.move, op=MPI.LOR))
         self._length = bounding_size(part.points, comm)
         self._assembly = Assembly(part, self.directors, comm)
+
+    def _kept_by_piece(self) -> Reals:
+        """(pieces, 3, 3) sums of `kept`. Collective."""
+        piece: Ints = self.comm.bcast(None if self.shell is None else pieces_of(self.shell))[self.part.vertex]
+        total = np.zeros((self.comm.allreduce(int(piece.max(initial=0)), op=MPI.MAX) + 1, 3, 3))
+        np.add.at(total, piece, self.kept)
+        count = np.bincount(piece, minlength=len(total))
+        found: Reals = self.comm.allreduce(total)[self.comm.allreduce(count) > 0]
+        return found
 
     # ---- others of the same shell ----
 

@@ -16,28 +16,40 @@ AXES = "xyz"
 def check_supports(shell: Shell) -> None:
     """Raises InputError where a piece of the shell (sewn pieces count as one) may move rigidly without its load
     holding it: any translation; the turn about the vertical of a hanging piece; any rotation without a load."""
-    pieces = _pieces(shell)
-    for piece in range(pieces.max() + 1):
-        vertices = np.flatnonzero(pieces == piece)
-        modes = _free_modes(shell, vertices)
-        if not len(modes):
-            continue
-        text = _describe(shell, modes)
+    found = _loose(shell)
+    for vertices, text in found:
         if text:
             which = (
-                "the shell"
-                if pieces.max() == 0
-                else f"the piece with vertex {vertices[0]} ({len(vertices)} vertices)"
+                f"the piece with vertex {vertices[0]} ({len(vertices)} vertices)"
+                if len(found) > 1
+                else "the shell"
             )
             raise InputError(
                 f"fix: {which} is free to move rigidly: {text}; add supports ([[fix]]) that prevent it"
             )
 
 
+def holds_a_piece(shell: Shell) -> bool:
+    """Whether supports hold one of several pieces, on which others may come to rest."""
+    found = _loose(shell)
+    return len(found) > 1 and not all(text for _, text in found)
+
+
+def _loose(shell: Shell) -> list[tuple[Ints, str]]:
+    """The vertices of each piece and how it may move rigidly without its load holding it, empty where it may not."""
+    pieces = pieces_of(shell)
+    found: list[tuple[Ints, str]] = []
+    for piece in range(pieces.max() + 1):
+        vertices = np.flatnonzero(pieces == piece)
+        modes = _free_modes(shell, vertices)
+        found.append((vertices, _describe(shell, modes) if len(modes) else ""))
+    return found
+
+
 def free_motions(shell: Shell) -> Reals:
     """(n, 3, k) rigid motions that the supports leave to the shell's pieces, about each piece's centre, rotations over
     its size: displacements of order 1."""
-    pieces, found = _pieces(shell), []
+    pieces, found = pieces_of(shell), []
     for piece in range(pieces.max() + 1):
         vertices = np.flatnonzero(pieces == piece)
         x = shell.points[vertices]
@@ -94,7 +106,7 @@ def without_flaps(shell: Shell, parts: list[tuple[Ints, Ints]]) -> Shell:
     )
 
 
-def _pieces(shell: Shell) -> Ints:
+def pieces_of(shell: Shell) -> Ints:
     """(n,) index of each vertex's piece; vertices of no triangle are pieces of their own."""
     n = len(shell.points)
     t = shell.triangles
