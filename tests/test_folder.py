@@ -274,13 +274,20 @@ def test_too_little_memory_is_told(voile):
     assert "the address space is limited to 400 MiB (ulimit -v); allowed: from 1024 MiB" in done.stderr
 
 
-def test_a_tolerance_above_the_scene_s_is_no_convergence(voile):
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("-snes_atol 1e30", "the option -snes_atol 1e+30 is above it"),
+        ("-snes_stol 1", "the option -snes_stol 1 may have ended it"),
+    ],
+)
+def test_a_tolerance_above_the_scene_s_is_no_convergence(voile, option, told):
     from voile.petsc_options import options_of_run, start_petsc
 
     start_petsc()
-    with options_of_run(["-snes_atol", "1e30"]):
+    with options_of_run(option.split()):
         code, said = voile("one")
-    assert code == 3 and "the option -snes_atol 1e+30 is above it" in said
+    assert code == 3 and told in said
 
 
 @pytest.mark.parametrize(

@@ -162,8 +162,10 @@ class Nonlinear:
             blurred = self.problem.save(y)
             times = max(noise, self.norm) / asked
             blame = f"; round-off is {noise:.1e} N: a tolerance (statics.tolerance) {times:.0e} times as large is met"
-        given = self.snes.getTolerances()[1]
+        relative, given, short, _ = self.snes.getTolerances()
         early = f"; the option -snes_atol {given:g} is above it" if given > asked else ""
+        for name, value in (("rtol", relative), ("stol", short)):  # 0 where no option says otherwise
+            early += f"; the option -snes_{name} {value:g} may have ended it" if value else ""
         reason = f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){early}{blame}"
         return Outcome(False, method, reason, blurred=blurred, norm=self.norm)
 
