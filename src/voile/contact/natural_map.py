@@ -132,18 +132,29 @@ class NaturalMap:
         for k in range(len(self.obstacles)):
             self.history.level[k] = -self.hollow(k, t)
 
-    def rebound(self, x: Reals, begin: float, end: float, way: Reals, rest: float) -> None:
-        """Restitution over a step that has begun at positions x (n, 3): vertices whose way (n, 3) without forces leads
-        into an obstacle by `end` leave it with the coefficient's share of the approach (Moreau's law at velocity
-        level, in steps of implicit Euler). No impact is an approach (m) within `rest`."""
+    def rebound(self, x: Reals, begin: float, end: float, way: Reals, fall: Reals, rest: float) -> Reals:
+        """Restitution over a step that has begun at positions x (n, 3): vertices whose flight, way (n, 3) m by their
+        velocity and half of fall (n, 3) m by their acceleration, enters an obstacle by `end` leave it, where they meet
+        it, with the coefficient's share of the approach (Moreau's law at velocity level). No impact is an approach (m)
+        within `rest`. Found is by how much (n, 3) m they seem to begin elsewhere: what flies as they do after the
+        impact, all along the step, to where they end."""
+        found = np.zeros_like(x)
         for k, obstacle in enumerate(self.obstacles):
-            level = self.history.level[k]
-            if obstacle.restitution:
-                gap, normal, _ = obstacle.gap_derivatives(x, begin)
-                gap -= np.asarray(self.offset)[k]
-                nearer = -np.einsum("pi,pi->p", normal, way - (obstacle.carry(x, begin, end) - x))
-                impact = (gap <= nearer) & (nearer > rest)
-                level[impact] = (np.maximum(gap, 0.0) + obstacle.restitution * nearer)[impact]
+            if not obstacle.restitution:
+                continue
+            gap, normal, _ = obstacle.gap_derivatives(x, begin)
+            gap -= np.asarray(self.offset)[k]
+            nearer = -np.einsum("pi,pi->p", normal, way - (obstacle.carry(x, begin, end) - x))
+            faster = -np.einsum("pi,pi->p", normal, fall)
+            rows = np.flatnonzero((gap <= nearer + 0.5 * faster) & (nearer > rest))
+            above, nearer, faster = np.maximum(gap[rows], 0.0), nearer[rows], faster[rows]
+            met = 2.0 * above / (nearer + np.sqrt(np.maximum(nearer**2 + 2.0 * faster * above, 0.0)))
+            met = np.minimum(met, 1.0)  # share of the step before the impact
+            left, leaves = 1.0 - met, obstacle.restitution * (nearer + faster * met)
+            ends = np.maximum(left * (leaves - 0.5 * faster * left), 0.0)
+            self.history.level[k][rows] = ends
+            found[rows] += (ends - (leaves - faster * left) - above)[:, None] * normal[rows]
+        return found
 
     def carried(self, x: Reals, t: float) -> tuple[Flags, Reals]:
         """(n,) marks vertices that stuck to an obstacle when slip was last measured anew, and where it carries them by

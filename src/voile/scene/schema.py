@@ -242,14 +242,11 @@ class Scene:
         centred = (d.scheme, d.theta) == ("moreau-jean", 0.5) or (
             (d.scheme, d.spectral_radius) == ("generalized-alpha", 1.0)
         )
-        if d.keeps == "nothing" and d.scheme not in ("moreau-jean", "generalized-alpha"):
+        early = d.scheme in ("moreau-jean", "generalized-alpha")
+        if not {"energy": True, "nothing": early, "angular-momentum": centred}[d.keeps]:
             raise Rejected(
-                '"nothing" fits scheme = "moreau-jean" or "generalized-alpha"', ("dynamics", "keeps")
-            )
-        if d.keeps == "angular-momentum" and not centred:
-            raise Rejected(
-                f'"{d.keeps}" fits scheme = "moreau-jean" with theta = 0.5, or "generalized-alpha" with '
-                "spectral_radius = 1",
+                f'"{d.keeps}" fits scheme = "moreau-jean" or "generalized-alpha"'
+                + ", with theta = 0.5 or spectral_radius = 1" * (d.keeps != "nothing"),
                 ("dynamics", "keeps"),
             )
         local = self.scene.task == "dynamics" and self.dynamics.solver == "local-global"

@@ -176,6 +176,7 @@ class Stepper:
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
         self.wish = 0.0  # s, what the local error allows
+        self.struck: float | Reals = 0.0  # m, see Contact.rebound
         self.damping, path.length = options.damping, path.length or options.time_step
         solver.counts.add(path.counts)
         path.counts = solver.counts
@@ -329,6 +330,7 @@ class Stepper:
         prediction, problem, tolerance (N) and outcome."""
         k, h, problem, wanted = self.k, forces.h, forces.problem, 0.0
         prediction, euler = forces.scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        euler = replace(euler, predicted=euler.predicted + self.struck, still=euler.still + self.struck)
         bearing = self._bearing(problem, driven(problem))
         while True:
             prediction = prediction.where(bearing, euler)
@@ -349,8 +351,8 @@ class Stepper:
             problem.contact.begin(k.positions, begin)
             problem.contact.let_in(problem.time)
             if isinstance(scheme, MoreauJean):
-                rest = self.options.rest * h**2 * self.fall
-                problem.contact.rebound(k.positions, begin, problem.time, h * k.velocity, rest)
+                rest, flight = self.options.rest * h**2 * self.fall, (h * k.velocity, h**2 * k.acceleration)
+                self.struck = problem.contact.rebound(k.positions, begin, problem.time, *flight, rest)
 
     def _bearing(self, problem: Problem, known: Flags) -> Flags:
         """(local vertices, 3) components that are known to be implicit Euler's in this step, and those of vertices that
