@@ -177,12 +177,12 @@ def _under(rng, length: float, width: float, height: float) -> list[float]:
 OBSTACLES: dict[str, Callable[..., Tables]] = {"plane": _plane, "ball": _ball, "box": _box, "drum": _drum}
 
 
-def dragged_strip() -> Everyday:
+def dragged_strip(bending: str = "tan") -> Everyday:
     """A strip of 40 x 8 cells clamped at one end 0.2 m above a plane; the clamp moves by 0.3 m along it in 12 steps."""
     length, width = 1.0, 0.2
     end = {"select": {"box": _around([-length / 2, None, None])}, "clamp": True}
     scene = {
-        "shell": {"mesh": "cloth.obj", "young": 1e6, "thickness": 1e-3, "density": 200.0},
+        "shell": {"mesh": "cloth.obj", "young": 1e6, "thickness": 1e-3, "density": 200.0, "bending": bending},
         "fix": [{**end, "move": {"displacement": [0.3, 0.0, 0.0]}}],
         "obstacle": [
             {"shape": "plane", "point": [0.0, -0.2, 0.0], "normal": [0.0, 1.0, 0.0], "friction": 0.3}

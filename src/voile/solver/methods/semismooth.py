@@ -20,10 +20,11 @@ from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
-from voile.solver.methods.steps import Stall, limit, sharpened, test
+from voile.solver.methods.steps import WORTH, Stall, limit, sharpened, test
 
 _REASON = PETSc.SNES.ConvergedReason
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
+STILL = 1e-15  # sizes: a Newton step that moves no vertex by more is round-off
 
 
 @dataclass
@@ -51,7 +52,8 @@ class Iteration:
 
 class Semismooth:
     """Its SNES's function norm is that of residual and mismatch. `negative`: negative eigenvalues on the contacts'
-    tangent space after the last run; None where slip hides them."""
+    tangent space after the last run; None where slip hides them. `still`: it ended where Newton steps move no vertex
+    any more, above the tolerance: a director angle without stiffness (`sin` at 90 degrees) has half as many digits."""
 
     name = "semismooth"
 
@@ -60,7 +62,7 @@ class Semismooth:
         self.iteration = Iterate(self)
         self.nonlinear = Nonlinear(work, "semismooth_", self.iteration)
         self.negative: int | None = None
-        self.stalled = False
+        self.stalled = self.still = False
 
     @property
     def steps(self) -> list[Iteration]:
@@ -72,8 +74,8 @@ class Semismooth:
         return sharpened(self._run, self, problem, y, tolerance)
 
     def _run(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
-        self.stalled = False
-        done = self.nonlinear.run(problem, y, tolerance, self.options.iterations)
+        self.stalled = self.still = False
+        done = self.nonlinear.run(problem, y, tolerance, self.options.iterations) or self.still
         if self.nonlinear.snes.getType() != PETSc.SNES.Type.PYTHON:
             raise InputError(
                 f"-snes_type {self.nonlinear.snes.getType()}: contact is solved by the program's own method; "
@@ -84,7 +86,12 @@ class Semismooth:
             return Outcome(False, self.name, reason, saddle=problem.save(y))
         if not done:
             return self.nonlinear.missed(self.name, y)
-        return Outcome(True, self.name, norm=self.nonlinear.norm)
+        reason = ""
+        if self.still:
+            reason = (
+                f"converged to round-off: residual {self.nonlinear.norm:.1e} N, tolerance {tolerance:.1e} N"
+            )
+        return Outcome(True, self.name, reason, norm=self.nonlinear.norm)
 
 
 class Iterate:
@@ -133,6 +140,13 @@ class Iterate:
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)
                 return
+            if (
+                norm <= WORTH * snes.getTolerances()[1]
+                and problem.largest_motion(direction) < STILL
+                and not held
+            ):
+                self.method.still = True
+                break
             length = limit(problem, y, direction)
             problem.predict(y, direction)
             y.axpy(1.0, direction)
