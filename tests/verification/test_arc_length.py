@@ -13,6 +13,8 @@ from shells import pulled_cylinder
 from vibrating import own_weight
 
 import voile
+from voile.contact.obstacles import Cylinder
+from voile.problem.contact import contact_fields, with_obstacles
 from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
@@ -147,6 +149,28 @@ def test_the_toggle_is_that_of_beam_columns():
     computed = 40.0 * curve.factors
     exact = np.interp(-curve.moved[:, 0, 2], deflections, loads)
     np.testing.assert_allclose(computed, exact, atol=0.1)
+
+
+def test_the_toggle_comes_down_on_a_rod():
+    """A rod under its middle stops it behind the first limit point: the load, which fell, rises, and the rod takes what
+    the toggle does not."""
+    load, stop = 36.0, 0.15
+    shell, middle = roofs.toggle(15, load)
+    free = Curve(replace(shell, force=shell.force * 40.0 / load), [middle], load_steps=40)
+    carried = 40.0 * np.interp(roofs.TOGGLE[1] - stop, -free.moved[:, 0, 2], free.factors)
+    rod = Cylinder(
+        center=np.array([shell.points[middle, 0], 0.0, stop - 0.5]),
+        axis=np.array([0.0, 1.0, 0.0]),
+        radius=0.5,
+    )
+    on_rod = with_obstacles(Problem(shell, MPI.COMM_SELF), [rod], 0.0)
+    path, found = solve_arc(on_rod, StaticsOptions(load_steps=20), 1.0, 0)
+    require(path)
+    assert [c.kind for c in found] == ["limit point", "limit point"]
+    assert load * found[0].factor == pytest.approx(free.limits()[0, 0] * 40.0, rel=1e-6)
+    assert load * found[1].factor == pytest.approx(carried, rel=1e-3)
+    taken = 2.0 * contact_fields(on_rod, path.state)["reaction"][:, 2].sum()
+    assert taken == pytest.approx(load - carried, abs=0.03)
 
 
 @pytest.mark.parametrize("n", [40, 80])

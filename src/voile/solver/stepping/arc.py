@@ -204,6 +204,16 @@ class Arc:
         there = self.advance(place, length, place.direction, place.slope)
         return there if there and self.aim(there, place.direction, place.slope) else None
 
+    def rebound(self, before: Place | None, place: Place, length: float) -> Place | None:
+        """The equilibrium behind a touch that turns the path by more than a right angle: as the motion goes on, the
+        load factor changes the other way. None where there is none, or where contacts are those before the place: then
+        the path would go back."""
+        there = self.advance(place, length, place.direction, -place.slope)
+        if there is None or not self.aim(there, place.direction, -place.slope):
+            return None
+        back = before and self.problem.everywhere(before.touching == there.touching)
+        return None if back else there
+
     def advance(self, place: Place, length: float, v: PETSc.Vec, slope: float) -> Place | None:
         """The equilibrium that lies so far along a direction; None where there is none."""
         way = v.copy()

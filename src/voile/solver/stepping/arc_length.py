@@ -149,6 +149,7 @@ class ArcPath:
     def _go(self, here: Place) -> None:
         """From place to place until the end."""
         path, options, first, length, origin = self.path, self.options, self.first, self.length, here
+        before: Place | None = None
         if self._ended(here):
             return
         while path.attempts < self.asked.max_steps:
@@ -156,14 +157,17 @@ class ArcPath:
             there = self._next(here, length, length < options.sharp * first)
             if there is None:
                 length *= 0.25
-                if length < options.shortest * first:
+                if length >= options.shortest * first:
+                    continue
+                length = options.sharp * first
+                there = self.arc.rebound(before, here, length) if self.problem.contact else None
+                if there is None:
                     path.reason = f"no equilibrium next to that at load factor {here.factor:g}"
                     return
-                continue
             left = self._pass(here, there)
             if left:
                 here, length = left
-                origin = here
+                origin, before = here, None
                 self._keep(here, "branch")
                 self._pause(here, length)
                 continue
@@ -174,7 +178,7 @@ class ArcPath:
             easier = min(options.wanted / there.iterations, (0.5 / max(self._bend(here, there), 1e-3)) ** 0.5)
             length *= min(max(easier, 0.25), 2.0)
             length = min(length, options.longest, self.cap / max(abs(there.slope), 1e-300))
-            here = there
+            before, here = here, there
             self._pause(here, length)
         path.reason = f"max_steps = {self.asked.max_steps} steps ended at load factor {here.factor:g}"
 

@@ -21,7 +21,7 @@ FABRICS = {
     "wool": (0.20, 9e-6, 0.40, 0.70, 8),
     "denim": (0.40, 4e-5, 0.70, 0.90, 6),
 }
-QUICK = ("silk", "denim")  # the softest and the stiffest
+QUICK = ("wool", "denim")  # silk folds finer than so few rings tell
 
 
 def number(weight: float, stiffness: float) -> float:
