@@ -193,7 +193,13 @@ class PseudoTransient:
         if not contact.itself:  # layers take long to settle again
             perturb(problem, y, self.perturbation)
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
-        done = self.descent.run(problem, y, rough, options.iterations, self._astray(problem))
+        astray = self._astray(problem)
+
+        def vain(at: PETSc.Vec) -> bool:
+            too_far = fresh and problem.largest_motion(difference(at, home)) > room
+            return too_far or bool(astray and astray(at))
+
+        done = self.descent.run(problem, y, rough, options.iterations, vain)
         if fresh and problem.largest_motion(difference(y, home)) > room:
             return None
         if done:
