@@ -36,6 +36,24 @@ def test_panels_are_sewn_though_they_lie_through_each_other(garments, shared, tm
     assert energies["stretching"] + energies["bending"] < 2.0
 
 
+def test_a_dress_of_fewer_vertices_is_sewn_as_the_whole_one(garments, shared, tmp_path):
+    """Seams gape by no more than a chord cuts off, and panels keep their area."""
+    import coarse_dress
+    from worn_dress import write_meshes
+
+    write_meshes(tmp_path)
+    whole = coarse_dress.read(tmp_path / "dress.obj")
+    dress = coarse_dress.coarser(whole, 0.02)
+    (i, j, k), w = dress.ends.T, dress.weights[:, None]
+    gape = np.linalg.norm(dress.points[i] - (1.0 - w) * dress.points[j] - w * dress.points[k], axis=1)
+    assert len(dress.points) < 3000 and gape.max() < 5e-3 and np.median(gape) < 5e-4
+    areas = [
+        np.abs(np.cross(*(d.uv[d.triangles[:, a]] - d.uv[d.triangles[:, 0]] for a in (1, 2)))).sum()
+        for d in (whole, dress)
+    ]
+    assert abs(areas[1] / areas[0] - 1.0) < 0.01
+
+
 @pytest.mark.parametrize(
     "name",
     [

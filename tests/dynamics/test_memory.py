@@ -54,6 +54,6 @@ def test_two_thousand_steps_leave_nothing_but_their_history(tmp_path):
 
 @pytest.mark.slow
 def test_a_hundred_thousand_steps_leave_nothing_but_their_history(tmp_path):
-    """The history is 0.4 kB a step."""
+    """Which is in its file: 8 MiB were left by the steps of a run (0.08 kB each)."""
     used = follow(tmp_path, 100_000)
-    assert used[-1] - used[0] < 100.0
+    assert used[-1] - used[0] < 20.0
