@@ -140,11 +140,10 @@ class Iterate:
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)
                 return
-            if (
-                norm <= WORTH * snes.getTolerances()[1]
-                and problem.largest_motion(direction) < STILL
-                and not held
-            ):
+            near = (
+                norm <= WORTH * snes.getTolerances()[1] and idle >= stall.idle
+            )  # or else reactions still move
+            if near and not held and problem.largest_motion(direction) < STILL:
                 self.method.still = True
                 break
             length = limit(problem, y, direction)
