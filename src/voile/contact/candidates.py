@@ -103,7 +103,14 @@ class Layers:
         return bool(np.linalg.norm(x - candidates.home, axis=1).max() < 0.5 * BAND * self.thickness)
 
     def free_share(self, x: Reals, moved: Reals, candidates: Candidates) -> float:
-        """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1."""
+        """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1, and no vertex
+        further than the shell is large: over ways of many sizes, as of a safe step near a mechanism, IPC's search does
+        not come back."""
+        way = float(np.linalg.norm(moved - x, axis=1).max())
+        reach = float(np.linalg.norm(np.ptp(x, axis=0))) / max(way, 1e-300)
+        if reach < 1.0:
+            reach *= 0.999  # or round-off may leave the rest too long again
+            return reach * self.free_share(x, x + reach * (moved - x), candidates)
         swept, n, e = ipctk.Candidates(), len(self.points), len(self.edges)
         if self.valid(candidates, x) and self.valid(candidates, moved):
             face, edge = np.split(candidates.code, [candidates.faces])
