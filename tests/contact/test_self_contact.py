@@ -136,8 +136,7 @@ def test_no_layer_passes_through_another():
     assert 0.1 < share < 0.5  # 2 OFFSET of 4 OFFSET, less the waves
     assert (x + share * (through - x))[upper, 2].min() > x[~upper, 2].min()
     far = x + 1e7 * (away - x)  # 1e5 m: no search goes that far
-    most = np.linalg.norm(np.ptp(x, axis=0)) / 1e5
-    assert 0.9 * most < layers.free_share(x, far, near) <= most
+    assert 0.9 < layers.free_share(x, far, near) * 1e5 / np.linalg.norm(np.ptp(x, axis=0)) <= 1.0
 
 
 def test_what_is_near_along_the_cloth():

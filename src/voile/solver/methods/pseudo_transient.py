@@ -197,12 +197,14 @@ class PseudoTransient:
         rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
         astray = self._astray(problem)
 
+        def too_far(at: PETSc.Vec) -> bool:
+            return fresh and problem.largest_motion(difference(at, home)) > room
+
         def vain(at: PETSc.Vec) -> bool:
-            too_far = fresh and problem.largest_motion(difference(at, home)) > room
-            return too_far or bool(astray and astray(at))
+            return too_far(at) or bool(astray and astray(at))
 
         done = self.descent.run(problem, y, rough, options.iterations, vain)
-        if fresh and problem.largest_motion(difference(y, home)) > room:
+        if too_far(y):
             return None
         if done:
             contact.adopt(problem.positions(y), problem.time)
