@@ -13,6 +13,7 @@ import numpy as np
 
 from voile.arrays import Flags, Ints, Reals
 from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, edge_distance
+from voile.contact.directions import diagonal, lengths
 from voile.errors import InputError
 
 BAND = 1.0  # thicknesses beyond contact within which pairs are kept: they stay valid for half of it of motion
@@ -106,8 +107,7 @@ class Layers:
         """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1, and no vertex
         further than the shell is large: over ways of many sizes, as of a safe step near a mechanism, IPC's search does
         not come back."""
-        way = float(np.linalg.norm(moved - x, axis=1).max())
-        reach = float(np.linalg.norm(np.ptp(x, axis=0))) / max(way, 1e-300)
+        reach = diagonal(x) / max(float(lengths(moved - x).max()), 1e-300)
         if reach < 1.0:
             reach *= 0.999  # or round-off may leave the rest too long again
             return reach * self.free_share(x, x + reach * (moved - x), candidates)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
 from voile.arrays import Flags, Ints, Reals
-from voile.contact.directions import TINY, unit
+from voile.contact.directions import TINY, diagonal, unit
 from voile.contact.pairs import outer
 from voile.errors import InputError
 
@@ -128,14 +128,14 @@ def distance_field(
     """
     triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     points = np.ascontiguousarray(points, dtype=float)
-    diagonal = _diagonal(points)
+    size = diagonal(points)
     edges = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
-    if resolution and resolution > BLUNT * diagonal:
+    if resolution and resolution > BLUNT * size:
         raise InputError(
-            f"{source}: a resolution of {resolution:.3g} m blurs a body of {diagonal:.3g} m; "
-            f"allowed: at most {BLUNT * diagonal:.2g} m"
+            f"{source}: a resolution of {resolution:.3g} m blurs a body of {size:.3g} m; "
+            f"allowed: at most {BLUNT * size:.2g} m"
         )
-    spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * diagonal, COARSEST * diagonal))
+    spacing = resolution or float(np.clip(0.5 * edges.mean(), FINEST * size, COARSEST * size))
     _check_orientation(points, triangles, source)
     skin = _outer(points, triangles)
     thinnest, thickness = _thin(points, triangles, skin, spacing)
@@ -154,10 +154,6 @@ def another_shape(body: DistanceField, points: Reals, source: str) -> DistanceFi
     return replace(found, thinnest=body.thinnest, measured=body.measured)
 
 
-def _diagonal(points: Reals) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
-
-
 def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source: str) -> DistanceField:
     margin = (BAND + COARSE) * spacing
     origin = points.min(axis=0) - margin
@@ -165,7 +161,7 @@ def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source:
     if np.prod(shape.astype(float)) > LARGEST:
         raise InputError(
             f"{source}: a resolution of {spacing:.3g} m needs {np.prod(shape.astype(float)):.1e} nodes; "
-            f"allowed: {LARGEST:.0e}, that is a resolution of about {_diagonal(points) * FINEST:.2g} m"
+            f"allowed: {LARGEST:.0e}, that is a resolution of about {diagonal(points) * FINEST:.2g} m"
         )
     samples = _samples(points, triangles, skin, origin, spacing, shape)
     coefficients = spline_filter(samples, order=3, mode="mirror")
@@ -234,7 +230,7 @@ def _outer(points: Reals, triangles: Ints) -> Ints:
     corner = points[triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    lifted = corner + 1e-4 * _diagonal(points) * (normal / np.maximum(length, 1e-300))[:, None]
+    lifted = corner + 1e-4 * diagonal(points) * (normal / np.maximum(length, 1e-300))[:, None]
     middle = lifted.mean(axis=1, keepdims=True)
     probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
     outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5
@@ -305,5 +301,5 @@ def _measure(body: DistanceField, skin: Ints) -> float:
     raised = [sites + k * body.spacing * normal[:, None] for k in range(3)]
     probes = np.concatenate([np.concatenate(raised).reshape(-1, 3), body.points[np.unique(skin)]])
     exact = signed_distance(body.points, body.triangles, skin, probes)
-    outside = exact > -1e-9 * np.linalg.norm(np.ptp(body.points, axis=0))
+    outside = exact > -1e-9 * diagonal(body.points)
     return float(np.abs(body.distance(probes[outside]) - exact[outside]).max())

@@ -34,10 +34,8 @@ def with_obstacles(
     part = problem.part
     unknowns = np.diff(part.matrix.indptr)[: 3 * len(part.vertex)].reshape(-1, 3)
     stiffness = part.fabric[0] * part.fabric[1]
-    bending, area = (
-        stiffness * part.fabric[0] ** 2 / 12.0,
-        triangle_areas(part.rest_points, part.rest_corners),
-    )
+    bending = stiffness * part.fabric[0] ** 2 / 12.0
+    area = triangle_areas(part.rest_points, part.rest_corners)
     totals = [stiffness @ part.weight, bending @ part.weight, area @ part.weight, part.weight.sum()]
     stretches, bends, covers, count = problem.comm.allreduce(np.array(totals))
     scale, pliable = float(stretches / count), float(bends / covers)

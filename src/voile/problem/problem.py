@@ -246,8 +246,7 @@ class Problem:
     ) -> None:
         """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
         or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). To be added: `contact`,
-        what the linearised laws do; shift (1/s^2; one, or (local
-        vertices,)), a multiple of the mass C^T M C."""
+        what the linearised laws do; shift (1/s^2; one, or (local vertices,)), a multiple of the mass C^T M C."""
         stop_if_told(self.comm)
         PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
         at, blocks = self.point(y), list(contact)

@@ -26,9 +26,9 @@ class Iterative(LinearSolver):
     """`direct`'s systems, by Krylov's method as long as `tries` holds and it converges; from then on by `direct`.
 
     `tries` is set by whoever knows that inertia makes the matrices easy, and anew in every step, so that a step depends
-    on nothing but itself; with it `wanted` (N), the tolerance of a step without contact
-    or drag; the option ksp_max_it = 0 ends it, too. `negative` is None where no complete factor has
-    counted. Conjugate gradients end at the first negative curvature, and then `direct` counts.
+    on nothing but itself; with it `wanted` (N), the tolerance of a step without contact or drag; the option
+    ksp_max_it = 0 ends it, too. `negative` is None where no complete factor has counted. Conjugate gradients end at the
+    first negative curvature, and then `direct` counts.
     """
 
     def __init__(self, direct: LinearSolver, counts: Counts, prefix: str, symmetric: bool):

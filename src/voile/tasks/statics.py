@@ -86,5 +86,4 @@ def _tell(job: Run, path: Path) -> None:
         why = "" if job.scene.statics.stability else " (statics.stability = false)"
         said.append(f"whether the end state is stable was not tested{why}")
     for text in said:
-        job.note(text)
-        job.progress.line(f"note: {text}")
+        job.tell(text)

@@ -250,8 +250,9 @@ class Iterate:
         return slope if descends else None
 
     def _factor(self, y: PETSc.Vec, kind: str) -> LinearSolver:
-        linear = factor(self.work, self.problem, y, kind, self._shift(), self._share)
-        if kind != "safe" and self._largest(self._shift()) == 0.0:
+        shift = self._shift()
+        linear = factor(self.work, self.problem, y, kind, shift, self._share)
+        if kind != "safe" and self._largest(shift) == 0.0:
             self.method.negative = linear.negative if kind == "exact" else None
         return linear
 

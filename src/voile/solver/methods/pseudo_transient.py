@@ -47,7 +47,7 @@ class Options:
     potential drown in round-off there. near: inertia over the loads under which the semismooth method is tried,
     and again when it fell to a third. blurred: of the tolerance, beyond which the round-off of large unknowns makes
     them be counted anew. astray: sizes of the shell; a watched step may not lead deeper into an obstacle: rough steps
-    lie a little inside.
+    lie a little inside. longest_pause: steps at most until a length that was refused is tried again.
     """
 
     steps: int = 300

@@ -20,7 +20,7 @@ from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
-from voile.solver.methods.steps import WORTH, Stall, limit, sharpened, test
+from voile.solver.methods.steps import WORTH, Stall, by_round_off, limit, sharpened, test
 
 _REASON = PETSc.SNES.ConvergedReason
 SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
@@ -86,11 +86,7 @@ class Semismooth:
             return Outcome(False, self.name, reason, saddle=problem.save(y))
         if not done:
             return self.nonlinear.missed(self.name, y)
-        reason = ""
-        if self.still:
-            reason = (
-                f"converged to round-off: residual {self.nonlinear.norm:.1e} N, tolerance {tolerance:.1e} N"
-            )
+        reason = by_round_off(self.nonlinear.norm, tolerance) if self.still else ""
         return Outcome(True, self.name, reason, norm=self.nonlinear.norm)
 
 
@@ -140,9 +136,8 @@ class Iterate:
                 reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
                 snes.setConvergedReason(reason)
                 return
-            near = (
-                norm <= WORTH * snes.getTolerances()[1] and idle >= stall.idle
-            )  # or else reactions still move
+            waited = idle >= stall.idle  # or else reactions still move
+            near = waited and norm <= WORTH * snes.getTolerances()[1]
             if near and not held and problem.largest_motion(direction) < STILL:
                 self.method.still = True
                 break

@@ -107,7 +107,12 @@ def to_round_off(problem: Problem, y: PETSc.Vec, norm: float, tolerance: float) 
     computed = round_off(problem, y)[1]
     if computed < tolerance or norm > WORTH * tolerance:
         return ""
-    return f"converged to round-off ({computed:.1e} N): residual {norm:.1e} N, tolerance {tolerance:.1e} N"
+    return by_round_off(norm, tolerance, f" ({computed:.1e} N)")
+
+
+def by_round_off(norm: float, tolerance: float, known: str = "") -> str:
+    """What is said of a residual (N) that only round-off, as far as it is known, leaves above the tolerance."""
+    return f"converged to round-off{known}: residual {norm:.1e} N, tolerance {tolerance:.1e} N"
 
 
 def sharpened(run: Run, newton: Stalling, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:

@@ -19,18 +19,17 @@ from voile.problem.shell import triangle_areas
 from voile.solver.methods.method import Workspace
 from voile.solver.methods.steps import descent_direction
 
-SHARE = (
-    1e-4  # of a load step, from which forces' rates are taken: far above round-off, of next to no curvature
-)
+# Of a load step, from which forces' rates are taken: far above round-off, of next to no curvature.
+SHARE = 1e-4
 
 
-def predict(work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float) -> bool:
-    """Moves y from an equilibrium at the time `began` towards that at the problem's; whether it did: where no motion is
-    more than `most` sizes and the shell out of balance by less than where it was. Nothing slides that the load step
-    does not move: where the tangent is not positive definite the safe one serves, with some mass."""
+def predict(work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float) -> None:
+    """Moves y from an equilibrium at the time `began` towards that at the problem's, where no motion is more than
+    `most` sizes and the shell out of balance by less than where it was. Nothing slides that the load step does not
+    move: where the tangent is not positive definite the safe one serves, with some mass."""
     before, force, there = problem.at(began), y.duplicate(), y.duplicate()
-    rate, step = _rate(problem, y, began), y.duplicate()
-    blocks, carried = _contacts(problem, y, began)
+    rate, step = _rate(before, problem, y), y.duplicate()
+    blocks, carried = _contacts(before, problem, y)
     rate.array[:] -= problem.layout.collect(problem.point(y).over_dofs(carried))
     problem.residual(y, force)
     least = force.norm()
@@ -46,8 +45,7 @@ def predict(work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most:
         problem.residual(there, force)
         if force.norm() < least:
             there.copy(y)
-            return True
-    return False
+            return
 
 
 def edge_length(problem: Problem) -> float:
@@ -58,20 +56,20 @@ def edge_length(problem: Problem) -> float:
     return float(np.sqrt(2.0 * total / count))
 
 
-def _rate(problem: Problem, y: PETSc.Vec, began: float) -> PETSc.Vec:
-    """What of the residual (N) changes with time alone, over the load step."""
+def _rate(before: Problem, problem: Problem, y: PETSc.Vec) -> PETSc.Vec:
+    """What of the residual (N) changes with time alone, over the load step from `before`."""
     start, rate = y.duplicate(), y.duplicate()
-    problem.at(began).residual(y, start)
-    problem.at(began + SHARE * (problem.time - began)).residual(y, rate)
+    before.residual(y, start)
+    problem.at(before.time + SHARE * (problem.time - before.time)).residual(y, rate)
     rate.axpy(-1.0, start)
     rate.scale(1.0 / SHARE)
     return rate
 
 
-def _contacts(problem: Problem, y: PETSc.Vec, began: float) -> tuple[Blocks, Reals]:
+def _contacts(before: Problem, problem: Problem, y: PETSc.Vec) -> tuple[Blocks, Reals]:
     """Springs that keep active contacts closed and lead what sticks with its obstacle, and their forces (n, 3) N over
     the load step."""
-    contact, x = contact_of(problem), problem.at(began).positions(y)
+    contact, x, began = contact_of(problem), before.positions(y), before.time
     force, blocks = np.zeros_like(x), []
     for p in contact.pairs(x, began):
         normal, friction = (

@@ -3,10 +3,9 @@
 A step from t_n over h solves coefficient M (x - predicted) = F + r for the positions x at its end, r the contacts'
 reactions; then v = rate (x - still) and a = coefficient (x - predicted). F is (1 - early) times the forces at the end
 and `early` times those at the start; of the elastic force, twice `early` its mean over the way instead (see
-problem.mean), which neither gains nor loses energy, or that in its middle, which keeps angular momentum, or
-none but those at both ends, which strain nothing that turns. Where a
-contact bears or a support moves, velocities jump: there every scheme moves as implicit Euler's, whose v = (x - x_n) / h
-is what the contact's law leaves.
+problem.mean), which neither gains nor loses energy, or that in its middle, which keeps angular momentum, or none but
+those at both ends, which strain nothing that turns. Where a contact bears or a support moves, velocities jump: there
+every scheme moves as implicit Euler's, whose v = (x - x_n) / h is what the contact's law leaves.
 """
 
 from collections.abc import Callable
@@ -17,11 +16,8 @@ import numpy as np
 from voile.arrays import Flags, Reals
 from voile.problem.mean import Nodes, end_nodes, mean_nodes, middle_nodes
 
-ENERGY, ANGULAR_MOMENTUM, NOTHING = (
-    "energy",
-    "angular-momentum",
-    "nothing",
-)  # what is kept without contact, with half of the forces early
+# What is kept without contact, with half of the forces early.
+ENERGY, ANGULAR_MOMENTUM, NOTHING = "energy", "angular-momentum", "nothing"
 KEEPING = {ENERGY: mean_nodes, ANGULAR_MOMENTUM: middle_nodes, NOTHING: end_nodes}
 
 
