@@ -1,4 +1,4 @@
-"""Names of annotations for NumPy's arrays. Their shapes are told by docstrings.
+"""Names of annotations for NumPy's arrays, whose shapes docstrings tell, and what all packages ask of arrays.
 
 `Any` in them is a number's width, which NumPy's own operations leave open.
 """
@@ -18,3 +18,8 @@ Array: TypeAlias = np.ndarray[
 def sums(place: Ints, values: Reals, count: int = 0) -> Reals:
     """(at least count,) sums of values (k,) that go to the same places (k,)."""
     return np.asarray(np.bincount(place, values, count), dtype=float)
+
+
+def diagonal(points: Reals) -> float:
+    """That of the bounding box of points (n, 3)."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from voile import blas
+from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
 from voile.elastic.plate import plate_stiffness
 from voile.problem.follower import pressure_origin
@@ -268,7 +269,7 @@ def explain(scene: Scene, model: Model) -> str:
     slaves = len(np.unique(shell.slave))
     displacement = 3 * (n - slaves) - int(shell.fixed.sum())
     angles = e - len(shell.clamped_edges) if "director angles" in kept else 0
-    size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    size = diagonal(shell.points)
     entries = (165 if angles else 85 if "bending" in kept else 32) * len(shell.triangles)
     factor = 24 * (displacement + angles) * max(np.log2(max(displacement + angles, 2)), 1.0)
     lines = [

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, diagonal
 from voile.contact.frames import Frames
 from voile.contact.motion import Motion
 from voile.contact.obstacles import SHAPES, MeshBody, Obstacle
@@ -118,7 +118,7 @@ def build_model(scene: Scene) -> Model:
     if offset is None:
         offset = 0.5 * float(shell.thickness.max())
     notes = list(surface.notes)
-    size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    size = diagonal(shell.points)
     if scene.inverse.developable and fixed.all():
         raise InputError(
             f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"

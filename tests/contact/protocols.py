@@ -98,7 +98,7 @@ def lifted_strip(cells: int) -> Lifted:
     fields = contact_fields(problem, path.state)
     touching = fields["contact"] > 0
     force = problem.reactions(path.state)[:, 2].sum() / width
-    own = -problem.weight_force()[: points.size].reshape(-1, 3)[:, 2]
+    own = -problem.loads.weight[: points.size].reshape(-1, 3)[:, 2]
     beyond = (fields["reaction"][:, 2] - own)[touching]
     edge = beyond @ points[touching, 0] / beyond.sum()
     first = points[touching, 0].min()

@@ -176,7 +176,7 @@ def test_tube_on_a_rod_needs_friction_and_is_held_by_it():
     report = inverse_report(result)["reactions"]
     assert result.converged, result.reason
     np.testing.assert_allclose(
-        report["force"], -result.target.problem.weight_force()[2::3].sum() * np.array([0, 0, 1]), atol=1e-10
+        report["force"], -result.target.problem.loads.weight[2::3].sum() * np.array([0, 0, 1]), atol=1e-10
     )
     assert report["least_margin"] > 0.0
     assert result.simulation.sag < 1e-10 and result.disturbed.sag < 1e-10

@@ -49,7 +49,7 @@ def test_cloth_held_by_cloth():
     assert result.converged, result.reason
     assert result.simulation.sag < 1e-12 and result.disturbed.sag < 1e-10
     target, report = result.target, inverse_report(result)["reactions"]
-    load = target.problem.weight_force()[: 3 * len(points)].reshape(-1, 3)
+    load = target.problem.loads.weight[: 3 * len(points)].reshape(-1, 3)
     np.testing.assert_allclose(report["force"], -load.sum(axis=0), atol=1e-9)
     on_rod, between = target.contacts
     pressed = between.spread(target.reactions[len(on_rod) :])

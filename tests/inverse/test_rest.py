@@ -93,7 +93,7 @@ def test_the_residual_by_each_parameter_is_exact_to_second_order(name):
 def test_masses_follow_the_rest_shape():
     problem = Problem(hanging_sheet(), MPI.COMM_SELF)
     rest = RestShape(problem)
-    before = problem.weight_force().sum()
+    before = problem.loads.weight.sum()
     rest.base = 2.0 * rest.base
     rest.set(problem.create_vector())
-    assert problem.weight_force().sum() == pytest.approx(4.0 * before, rel=1e-12)
+    assert problem.loads.weight.sum() == pytest.approx(4.0 * before, rel=1e-12)

@@ -11,9 +11,9 @@ from typing import Any
 import ipctk
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, diagonal
 from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, edge_distance
-from voile.contact.directions import diagonal, lengths
+from voile.contact.directions import lengths
 from voile.errors import InputError
 
 BAND = 1.0  # thicknesses beyond contact within which pairs are kept: they stay valid for half of it of motion

@@ -8,11 +8,6 @@ NOWHERE = 1e-12  # of a vector's length: parts of it shorter than this are round
 TINY = 1e-12  # m: least radius of curvature, keeps Hessians finite at centres and axes
 
 
-def diagonal(points: Reals) -> float:
-    """That of the bounding box of points (n, 3)."""
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
-
-
 def lengths(vectors: Reals) -> Reals:
     """(n,) of rows; a third of the time of numpy's norm where they are few."""
     found: Reals = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))

@@ -12,8 +12,8 @@ import igl
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from voile.arrays import Flags, Ints, Reals
-from voile.contact.directions import TINY, diagonal, unit
+from voile.arrays import Flags, Ints, Reals, diagonal
+from voile.contact.directions import TINY, unit
 from voile.contact.pairs import outer
 from voile.errors import InputError
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, diagonal
 from voile.contact.directions import NOWHERE, TINY, lengths, normalised, perpendicular, radial, unit
 from voile.contact.field import DistanceField, check_inside, distance_field
 from voile.contact.frames import Frames, frame_files
@@ -150,7 +150,7 @@ class Cone(Obstacle, shape="cone"):
     def surface(self, bounds: Reals) -> Triangles:
         """From the apex to the far end of the bounds."""
         high = stretch(self.apex, normalised(self.axis), bounds)[1]
-        z = np.array([0.0, max(high, np.linalg.norm(np.ptp(bounds, axis=0)))])
+        z = np.array([0.0, max(high, diagonal(bounds))])
         return revolve(self.apex, self.axis, z * np.tan(self.half_angle), z)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, diagonal
 from voile.post import contact, swing
 from voile.post.camera import VIEWS, look, outermost, parse_scene, upright
 from voile.post.film import SCALED_BY
@@ -249,4 +249,4 @@ def _cameras(result: Result, steps: Ints, shapes: Reals, up: Reals) -> dict[str,
         views[name or "default"] = {
             "position": camera.position.tolist(), "focus": camera.focus.tolist(), "angle": camera.angle,
         }  # fmt: skip
-    return {"views": views, "up": up.tolist(), "size": float(np.linalg.norm(np.ptp(points, axis=0)))}
+    return {"views": views, "up": up.tolist(), "size": diagonal(points)}

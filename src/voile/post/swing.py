@@ -2,9 +2,7 @@
 
 import re
 
-import numpy as np
-
-from voile.arrays import Reals
+from voile.arrays import Reals, diagonal
 from voile.results import Result
 
 LARGEST = 0.1  # of the shape's size: the largest displacement drawn
@@ -23,8 +21,7 @@ def modes_of(result: Result) -> list[str]:
 def displaced(result: Result, field: str, step: int = -1, phase: float = 1.0) -> Reals:
     """(n, 3) m: the points of a step, displaced by `phase` (-1 to 1) of what is drawn of a mode."""
     points = result.points(step)
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return points + phase * LARGEST * size * result.field(field, step)
+    return points + phase * LARGEST * diagonal(points) * result.field(field, step)
 
 
 def figure(result: Result, field: str, step: int = -1) -> str:

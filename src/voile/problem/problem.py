@@ -76,11 +76,10 @@ class Problem:
 
     def _kept_by_piece(self) -> Reals:
         """(pieces, 3, 3) sums of `kept`. Collective."""
-        piece: Ints = self.comm.bcast(None if self.shell is None else pieces_of(self.shell))[self.part.vertex]
-        total = np.zeros((self.comm.allreduce(int(piece.max(initial=0)), op=MPI.MAX) + 1, 3, 3))
-        np.add.at(total, piece, self.kept)
-        count = np.bincount(piece, minlength=len(total))
-        found: Reals = self.comm.allreduce(total)[self.comm.allreduce(count) > 0]
+        piece: Ints = self.comm.bcast(None if self.shell is None else pieces_of(self.shell))
+        total = np.zeros((int(piece.max()) + 1, 3, 3))
+        np.add.at(total, piece[self.part.vertex], self.kept)
+        found: Reals = self.comm.allreduce(total)
         return found
 
     # ---- others of the same shell ----
@@ -369,10 +368,6 @@ class Problem:
     def own_dofs(self) -> Flags:
         """(3 local vertices,) marks the displacements that are counted on this rank."""
         return np.repeat(self.own, 3)
-
-    def weight_force(self) -> Reals:
-        """(local dofs,) gravity at load factor 1 (N)."""
-        return self.loads.weight
 
     def size(self) -> float:
         """Diagonal of the start shape's bounding box (m)."""

@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.arrays import Reals
+from voile.arrays import Reals, diagonal
 from voile.problem.contact import contact_of, vertex_areas, with_obstacles
 from voile.problem.levels import coarsen
 from voile.problem.partition import gathered
@@ -184,7 +184,7 @@ class Promising:
 def softened(shell: Shell, share: float) -> Shell:
     """A level with a share of the finer vertices: its membrane divided by 1/share^2 = (H/h)^4, but not so soft that
     its own weight stretches it by more than STRETCH; the bending stiffness and the mass kept."""
-    size = float(np.linalg.norm(np.ptp(shell.points, axis=0)))
+    size = diagonal(shell.points)
     weight = float(np.linalg.norm(shell.gravity)) * size * shell.density.mean() / shell.young.mean()
     soft = max(1.0, min(share**-2, STRETCH / max(weight, 1e-300)))
     shell = copy.copy(shell)
