@@ -31,7 +31,7 @@ ALLOWED = {
     "study": {"_kernels", "files", "keys", "mesh", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.
-TOP = {"api", "cli", "commands", "explain", "held", "tasks", "validate", "wiring"}
+TOP = {"afterwards", "api", "cli", "commands", "explain", "held", "tasks", "validate", "wiring"}
 PETSC = {"problem", "solver", "inverse", "petsc_options"} | TOP
 
 

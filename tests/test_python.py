@@ -47,6 +47,27 @@ def falling() -> dict:
     return {**scene, "obstacle": [plane], "dynamics": {"time_step": 0.005, "duration": 0.04}}
 
 
+# ---- fields that no file holds ----
+
+
+def test_fields_that_are_not_stored_are_computed():
+    """As a run with output.fields stores them; what does not exist is refused with the names of what does."""
+    result, full = (
+        voile.run(cantilever() | more) for more in ({}, {"output": {"fields": ["von_mises", "stress"]}})
+    )
+    assert "von_mises" in full.cell_fields and "von_mises" not in result.cell_fields
+    for name in ("von_mises", "stress_top"):
+        stored = full.field(name)
+        assert np.allclose(result.field(name), stored, rtol=0.0, atol=1e-9 * np.abs(stored).max())
+        assert result.unit(name) == "Pa"
+    assert np.array_equal(result.field("displacement", 0), result.points(0) - result.start)
+    assert result.unit("displacement") == "m" and "von_mises" in result.known_fields
+    with pytest.raises(KeyError, match="there are .*displacement.*stress_top"):
+        result.field("stress")
+    with pytest.raises(voile.InputError, match='"fabric_strain": allowed with'):
+        result.field("fabric_strain")
+
+
 # ---- the same as the command line ----
 
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from test_cli import SCENE, cells
 from test_python import sheet
 
 import voile
+from voile.cli import main
 from voile.errors import InputError
 
 LENGTH, WIDTH, THICKNESS, YOUNG, DENSITY = 0.1, 0.1, 1e-3, 1e7, 300.0
@@ -107,10 +109,67 @@ def test_forces_cross_seams_and_ranks(tmp_path, run_on):
     (tmp_path / "scene.toml").write_text(text)
     for ranks in (1, 2):
         run_on(ranks, tmp_path / "scene.toml", tmp_path / str(ranks))
-        (lower,) = voile.read(tmp_path / str(ranks)).summary["sections"]
+        result = voile.read(tmp_path / str(ranks))
+        (lower,), (stored,) = result.summary["sections"], result.sections()
+        for part in ("force", "moment", "about"):
+            assert np.allclose(stored[part], lower[part], rtol=0.0, atol=1e-9 * np.linalg.norm(lower[part]))
         cell = 0.1 / (n - 1)
         below = 1000.0 * 1e-3 * 9.81 * 0.1 * (0.1 + cell / 2)  # a vertex carries half a cell on both sides
         assert np.allclose(lower["force"], [0, 0, below], atol=1e-6 * below)
+
+
+@pytest.mark.parametrize("model", ["tan", "average"])
+def test_stored_steps_tell_what_crosses_any_cut(model):
+    """Of load steps, what the load factor says; of what a turning clamp and a plane move, what the run told."""
+    scene = cantilever(statics={"tolerance": 1e-10, "load_steps": 3})
+    scene["shell"]["bending"] = model
+    result = voile.run(scene)
+    for step, factor in enumerate(result.times):
+        found = result.section(step, point=[0.06, 0, 0], normal=[1, 0, 0])
+        assert np.allclose(found["force"], -factor * TIP, rtol=0.0, atol=1e-8 * np.linalg.norm(TIP))
+    plane = {"shape": "plane", "point": [0, 0, -0.005], "normal": [0, 0, 1], "friction": 0.3}
+    scene |= {
+        "scene": {"task": "dynamics"},
+        "dynamics": {"time_step": 4e-3, "duration": 0.04},
+        "obstacle": [plane],
+    }
+    scene["loads"], scene["statics"] = {"gravity": [0, 0, -9.81]}, {}
+    scene["fix"][0]["move"] = {"rotation": [0, 0.5, 0], "center": [0, 0, 0]}
+    scene["section"].append({"point": [0.05, 0, 0], "normal": [1, 0, 0]})
+    result = voile.run(scene)
+    assert (result.field("contact") > 0).any()
+    for told, stored in zip(result.summary["sections"], result.sections(), strict=True):
+        force = np.linalg.norm(told["force"])
+        for part, size in (("force", force), ("moment", force * LENGTH), ("about", LENGTH)):
+            assert np.allclose(stored[part], told[part], rtol=0.0, atol=1e-9 * size)
+
+
+def test_the_command_tells_sections_wherever_the_scene_is(tmp_path, capsys):
+    """Beside its run; moved; changed since; and refused with a message where it is not to be had."""
+    old, new, table = tmp_path / "old", tmp_path / "new", tmp_path / "table.csv"
+    old.mkdir()
+    (old / "mesh.obj").write_text(cells())
+    (old / "scene.toml").write_text(SCENE)
+    assert main(["run", str(old / "scene.toml"), "-o", str(tmp_path / "result")]) == 0
+    cut = ["section", str(tmp_path / "result"), "point=[0.05,0,0]", "normal=[1,0,0]"]
+    assert main([*cut, "-o", str(table)]) == 0
+    rows = np.genfromtxt(table, delimiter=",", names=True)
+    weight = 300.0 * 1e-3 * 9.81 * 0.1 * 0.05
+    assert np.allclose(rows["force_z"], weight * rows["value"], rtol=1e-5) and rows["value"][-1] == 1.0
+    old.rename(new)
+    capsys.readouterr()
+    for words, told in (
+        ([], "mesh.obj: no such mesh file"),
+        (["--scene", str(new / "scene.toml"), "--step", "99"], "no step 99; allowed: 0 to"),
+        (["--scene", str(new / "scene.toml"), "name"], "allowed: key=value"),
+    ):
+        assert main([*cut, *words]) == 2
+        assert told in capsys.readouterr().err
+    assert main([*cut, "--scene", str(new / "scene.toml"), "--step", "-1"]) == 0
+    assert "1: section 0: force (" in capsys.readouterr().out
+    (new / "mesh.obj").write_text(cells(size=0.2))
+    assert main([*cut, "--scene", str(new / "scene.toml")]) == 2
+    assert "is not that of the run" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

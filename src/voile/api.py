@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import voile.results
+from voile.afterwards import Stresses, scene_of
 from voile.arrays import Array, Reals
+from voile.elastic.stresses import FIELDS
 from voile.errors import InputError, NotConverged, on_root
 from voile.results import held_output, open_result, read_summary, result_file
 from voile.results.history import read_history
@@ -39,21 +42,30 @@ if TYPE_CHECKING:
     from voile.wiring import Model
 
 IN_MEMORY = "result in memory"
+STRESSES = tuple(name for written in FIELDS.values() for name in written)
 PIECE = 1 << 28  # bytes that travel between ranks at once
 
 
 class Result(voile.results.Result):
     """A result of `run` or `read`: what the result file holds, and pictures. In a notebook it shows itself.
 
-    summary: the figures of summary.json; history: those of every step in time, arrays by name, {} without time.
+    summary: the figures of summary.json; history: those of every step in time, arrays by name, {} without time;
+    scene: of `run`, or what `read` was given.
 
     Steps count from 0, -1 is the last. Also `points(step)`, `start`, `rest`, `triangles` (arrays), `point_fields`,
     `cell_fields`, `unit(name)`, `scalars(step)`, `figures()`, `bodies`; `n_steps`, `n_points`, `n_cells` (numbers).
     """
 
-    def __init__(self, path: Path, file: Any, summary: dict[str, Any], history: dict[str, Array]):
+    def __init__(
+        self,
+        path: Path,
+        file: Any,
+        summary: dict[str, Any],
+        history: dict[str, Array],
+        scene: Scene | None = None,
+    ):
         super().__init__(path, file)
-        self.summary, self.history = summary, history
+        self.summary, self.history, self.scene = summary, history, scene
 
     @property
     def positions(self) -> Reals:
@@ -64,6 +76,51 @@ class Result(voile.results.Result):
     def times(self) -> Reals:
         """(n_steps,) times of the steps (s), or their load factors."""
         return self.values
+
+    def field(self, name: str, step: int = -1) -> Array:
+        """Point data (n, ...) or cell data (m, ...) at a step: what the file holds; else computed from the shapes
+        (displacement, strain, curvature, mean_curvature) or, of `output.fields`, from the scene's model.
+
+        Raises KeyError that names what there is; InputError where the scene or its meshes are not found.
+        """
+        from voile.post.quantities import DERIVED, quantity
+
+        if name in self.point_fields + self.cell_fields:
+            return super().field(name, step)
+        if name in DERIVED:
+            return quantity(self, name, step).values
+        if name in STRESSES:
+            return self._stresses.field(name, self._step(step))
+        raise KeyError(f"no field {name!r}; there are {', '.join(self.known_fields)}")
+
+    @property
+    def known_fields(self) -> tuple[str, ...]:
+        """All names that `field` takes, those that it computes too."""
+        from voile.post.quantities import available
+
+        return tuple(sorted({*available(self), *STRESSES}))
+
+    @cached_property
+    def _stresses(self) -> Stresses:
+        return Stresses(self, self.scene or scene_of(self))
+
+    def unit(self, name: str) -> str:
+        """SI unit of a field, "" where it has none."""
+        from voile.post.quantities import DERIVED
+
+        return DERIVED[name][0] if name in DERIVED else super().unit(name)
+
+    def section(self, step: int = -1, **keys: Any) -> dict[str, Any]:
+        """What the rest of the shell exerts at a step across a cut on what lies inside: `force` (3,) N, `moment` (3,)
+        N m about `about` (3,) m. keys: of a scene's [[section]], such as point=[0, 0, 0], normal=[1, 0, 0].
+
+        Raises InputError for a cut that cuts nothing, or where the scene or its meshes are not found.
+        """
+        return self.sections(step, **keys)[0]
+
+    def sections(self, step: int = -1, **keys: Any) -> list[dict[str, Any]]:
+        """As `section`; without keys of the cuts that the scene has, in its order."""
+        return self._stresses.sections(keys, self._step(step))
 
     def render(self, png: str | os.PathLike[str], **how: Any) -> Path:
         """Draws a step into a PNG file; returns its path. how: field, step, view, size, outline, shape as of
@@ -216,14 +273,16 @@ def solve(
     return failure
 
 
-def read(result: str | os.PathLike[str]) -> Result:
-    """The result in a folder, or of a file `result.vtkhdf`. Raises InputError where there is none."""
+def read(result: str | os.PathLike[str], scene: Scene | None = None) -> Result:
+    """The result in a folder, or of a file `result.vtkhdf`. scene: that of the run, which section forces and stresses
+    are computed with afterwards; needed where its files have moved, or its meshes were arrays. Raises InputError where
+    there is none."""
     path = result_file(result)
     file = open_result(path)
     beside = path.with_name("summary.json")
     summary = read_summary(beside) if beside.is_file() else {}
     history = read_history(path.parent) if path.with_name("history.h5").is_file() else {}
-    return Result(path, file, summary, history)
+    return Result(path, file, summary, history, scene)
 
 
 @contextmanager
@@ -256,11 +315,12 @@ def _found(folder: Path, scene: Scene, comm: MPI.Comm, in_memory: bool) -> Resul
     if not figures:
         return None
     if not in_memory:
-        return read(folder)
+        return read(folder, scene)
     data = _everywhere(on_root(comm, result_file(folder).read_bytes), comm)
     import h5py
 
-    return Result(Path(IN_MEMORY), h5py.File(io.BytesIO(data), "r"), *figures)
+    summary, history = figures
+    return Result(Path(IN_MEMORY), h5py.File(io.BytesIO(data), "r"), summary, history, scene)
 
 
 def _everywhere(data: bytes | None, comm: MPI.Comm) -> bytes:

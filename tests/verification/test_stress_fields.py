@@ -8,7 +8,7 @@ from lo_roof import OPENING, RADIUS, roof
 
 import voile
 from voile.cli import main
-from voile.problem.stress_fields import FIELDS
+from voile.elastic.stresses import FIELDS
 from voile.results import CELL_FIELDS, read_result, read_summary
 from voile.scene.tasks import Output
 from voile.validate.shells import mapped

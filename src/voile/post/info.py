@@ -65,7 +65,7 @@ def rows(summary: dict[str, Any], depth: int = 0) -> Iterator[tuple[int, str, st
                 yield depth, obstacle["name"], _totals(obstacle)
         elif key in ("supports", "sections"):
             for support in value:
-                yield depth, support["name"], _support(support)
+                yield depth, support["name"], exerted(support)
         else:
             if key in ("method", "ways"):  # "ways" before version 0.2
                 value = [f"{way} {count}" for way, count in Counter(value).items()]
@@ -80,8 +80,8 @@ def _totals(obstacle: dict[str, Any]) -> str:
     )
 
 
-def _support(support: dict[str, Any]) -> str:
-    """What the shell gets from a [[fix]]."""
+def exerted(support: dict[str, Any]) -> str:
+    """What the shell gets from a [[fix]], or across a [[section]]'s cut."""
     return (
         f"force {_vector(support['force'])} N, moment {_vector(support['moment'])} N m about "
         f"{_vector(support['about'])} m"

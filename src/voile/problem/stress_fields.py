@@ -12,16 +12,6 @@ from petsc4py import PETSc
 from voile.arrays import Array, Ints, Reals
 from voile.problem.problem import Problem
 
-# What output.fields may name, and the cell fields that each writes.
-FIELDS = {
-    "membrane_force": ("membrane_force", "principal_membrane_force"),
-    "bending_moment": ("bending_moment", "principal_bending_moment"),
-    "strain": ("principal_strain",),
-    "stress": ("stress_top", "stress_bottom"),
-    "von_mises": ("von_mises",),
-    "fabric_strain": ("fabric_strain",),
-    "energy_density": ("energy_density", "stretching_density", "bending_density"),
-}
 TENSOR = ((0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2))  # VTK's order: xx yy zz xy yz xz
 
 

@@ -96,11 +96,16 @@ class Unknowns:
         the membrane forces of a stiff shell that has moved far.
         """
         u, phi = self.shape(y, time)
-        self._counted_anew = True
-        self.base = self.base + u
-        self._hold(np.concatenate([np.zeros_like(u), phi]), time)
+        self.stand_at(self.base + u, phi, time)
         self.origin.axpy(1.0, y)
         y.set(0.0)
+
+    def stand_at(self, u: Reals, phi: Reals, time: float) -> None:
+        """The shape with displacements u (3 local vertices,) m from the start shape and director angles phi (local
+        edges,) becomes the origin."""
+        self._counted_anew = True
+        self.base = u
+        self._hold(np.concatenate([np.zeros_like(u), phi]), time)
 
     def count_from_start(self, y: PETSc.Vec, time: float) -> bool:
         """The start shape becomes the origin again, and y counts from it; False where it was."""

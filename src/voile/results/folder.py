@@ -86,6 +86,15 @@ def held_output(
             part_of(directory / SUMMARY).unlink(missing_ok=True)
 
 
+def recorded_scene(directory: Path) -> str:
+    """The scene's file, from the folder of its results; empty where that is not told."""
+    try:
+        with (directory / RECORD).open("rb") as file:
+            return str(_recorded(file).get("scene", ""))
+    except OSError:
+        return ""
+
+
 def set_aside(result: Path) -> None:
     """Keeps a result that is there, with what belongs to it, as `*.previous.*`; without a result there is nothing."""
     if not result.exists():

@@ -19,14 +19,16 @@ OF_DICT = "scene"  # stands in messages for the file of a scene given as a dict
 
 
 def read_scene(
-    source: str | Path | Mapping[str, Any], overrides: Iterable[str] | Mapping[str, Any] = ()
+    source: str | Path | Mapping[str, Any],
+    overrides: Iterable[str] | Mapping[str, Any] = (),
+    folder: Path | None = None,
 ) -> Scene:
     """The scene of a TOML file, or of a dict of its tables, with `overrides` applied in their order.
 
     Overrides are as on the command line ("shell.young=2e5", "fix.0.axes=xy"; a value is written as in TOML, text also
-    without quotes), or a dict {"shell.young": 2e5}. Paths in the scene become absolute, from the folder of the scene
-    file, or the working folder for a dict. Raises InputError that names file and line (or the override) and the key,
-    what is wrong and what is allowed.
+    without quotes), or a dict {"shell.young": 2e5}. Paths in the scene become absolute, from `folder`: by default that
+    of the scene file, or the working folder for a dict. Raises InputError that names file and line (or the override)
+    and the key, what is wrong and what is allowed.
     """
     path = Path(OF_DICT) if isinstance(source, Mapping) else Path(source)
     given = _source_of_dict(source) if isinstance(source, Mapping) else read_source(path)
@@ -49,7 +51,9 @@ def read_scene(
     if told and not text.endswith("\n"):
         text += "\n"
     text += "".join(f"{TOLD}{override}\n" for override in told)
-    found: Scene = dataclasses.replace(_absolute(scene, path.parent.resolve()), text=text, path=path)
+    found: Scene = dataclasses.replace(
+        _absolute(scene, (folder or path.parent).resolve()), text=text, path=path
+    )
     return found
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
+from voile.elastic.stresses import lacking
 from voile.elastic.weave import STIFFNESSES
 from voile.keys import (
     Boolean,
@@ -286,12 +287,9 @@ class Scene:
             raise Rejected("allowed with task = statics or dynamics", ("section",))
         if self.output.fields and self.scene.task not in ("statics", "dynamics"):
             raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
-        if "bending_moment" in self.output.fields and self.shell.model == "membrane":
-            raise Rejected('"bending_moment": a membrane has none', ("output", "fields"))
-        if "fabric_strain" in self.output.fields and self.shell.material != "orthotropic":
-            raise Rejected(
-                '"fabric_strain": allowed with shell.material = "orthotropic"', ("output", "fields")
-            )
+        for name, why in lacking(self.shell.model, self.shell.material).items():
+            if name in self.output.fields:
+                raise Rejected(f'"{name}": {why}', ("output", "fields"))
 
     def _check_springs(self) -> None:
         inverse = self.scene.task == "inverse"

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from voile.elastic.stresses import FIELDS
 from voile.elastic.weave import STIFFNESSES
 from voile.keys import Array, Boolean, Choice, File, Integer, MeshFile, Number, Rejected, Table, key
 from voile.mesh import RawMesh
@@ -13,18 +14,6 @@ TASKS = {
     "inverse": True,
     "modes": True,
 }  # whether this version runs them
-
-
-# What output.fields may name; what they write is in problem/stress_fields.py.
-FIELDS = (
-    "membrane_force",
-    "bending_moment",
-    "strain",
-    "stress",
-    "von_mises",
-    "fabric_strain",
-    "energy_density",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
