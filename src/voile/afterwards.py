@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -31,8 +32,8 @@ def scene_of(result: Result) -> Scene:
     """The scene of a result, from its text there; files that it names are sought from where the run had its scene.
     Raises InputError."""
     found = recorded_scene(result.path.parent)
-    path = result.path.parent / found if found else Path.cwd() / "scene"
-    return read_scene(overridden(result.scene_text), folder=path.parent)
+    path = Path(os.path.normpath(result.path.parent / found)) if found else Path("scene")
+    return dataclasses.replace(read_scene(overridden(result.scene_text), folder=path.parent), path=path)
 
 
 class Stresses:

@@ -56,6 +56,8 @@ class Result(voile.results.Result):
     `cell_fields`, `unit(name)`, `scalars(step)`, `figures()`, `bodies`; `n_steps`, `n_points`, `n_cells` (numbers).
     """
 
+    computed_fields = STRESSES
+
     def __init__(
         self,
         path: Path,
@@ -89,16 +91,16 @@ class Result(voile.results.Result):
             return super().field(name, step)
         if name in DERIVED:
             return quantity(self, name, step).values
-        if name in STRESSES:
+        if name in self.computed_fields:
             return self._stresses.field(name, self._step(step))
         raise KeyError(f"no field {name!r}; there are {', '.join(self.known_fields)}")
 
     @property
     def known_fields(self) -> tuple[str, ...]:
         """All names that `field` takes, those that it computes too."""
-        from voile.post.quantities import available
+        from voile.post.quantities import known
 
-        return tuple(sorted({*available(self), *STRESSES}))
+        return tuple(known(self))
 
     @cached_property
     def _stresses(self) -> Stresses:

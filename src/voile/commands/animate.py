@@ -21,21 +21,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Draws the frames, and prints the film's name."""
+    from voile import api
     from voile.post.film import animate
 
     def tell(frame: int, count: int) -> None:
         if sys.stderr.isatty():
             print(f"\r\033[Kframe {frame} of {count}", end="", file=sys.stderr, flush=True)
 
-    film = animate(
-        args.file,
-        args.output or folder(args.file) / "film.mp4",
-        field=args.field,
-        fps=args.fps,
-        speed=args.speed,
-        view=args.view,
-        on_frame=tell,
-    )
+    with api.read(args.file) as result:
+        film = animate(
+            result,
+            args.output or folder(args.file) / "film.mp4",
+            field=args.field,
+            fps=args.fps,
+            speed=args.speed,
+            view=args.view,
+            on_frame=tell,
+        )
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr, flush=True)
     if not film.ended:

@@ -31,8 +31,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Draws, and prints the picture's name."""
+    from voile import api
     from voile.post import render
 
     out = args.output or folder(args.file) / f"{args.field}.png"
-    render(args.file, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
+    with api.read(args.file) as result:
+        render(result, out, field=args.field, step=args.step, view=args.view, shape=args.shape)
     print(out)

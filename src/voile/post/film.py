@@ -26,7 +26,7 @@ from voile.post.render import (
     open_plotter,
     write_title,
 )
-from voile.results import Result, read_result
+from voile.results import Result, opened
 
 IN_TIME, ALONG_LOAD = 25.0, 5.0  # frames a second: smooth; slow enough to see each load step
 SWINGS = 2.0  # s a period of a mode takes in a film
@@ -48,7 +48,7 @@ class Film:
 
 
 def animate(
-    path: str | os.PathLike[str],
+    source: str | os.PathLike[str] | Result,
     out: str | os.PathLike[str],
     *,
     field: str = "strain",
@@ -58,7 +58,7 @@ def animate(
     size: tuple[int, int] = (960, 720),
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Film:
-    """Draw the steps of the result `path`, as `render` does one, into a film (.mp4, .gif or .webp).
+    """Draw the steps of the result, open or at a path, as `render` does one, into a film (.mp4, .gif or .webp).
 
     In time, frames show the stored step nearest to theirs: fps frames (25 by default) are `speed` seconds of the run
     (1 by default, real speed). Along a load path every stored step is a frame, 5 a second by default. A mode
@@ -68,7 +68,7 @@ def animate(
     """
     out = Path(out)
     check_size(size)
-    with read_result(path) as result:
+    with opened(source) as result:
         scene = parse_scene(result.scene_text)
         check_field(result, field)
         if swing.is_mode(field):

@@ -28,17 +28,19 @@ DERIVED = {
 
 
 def quantity(result: Result, name: str, step: int = -1) -> Quantity:
-    """A stored field or a derived one (DERIVED) of a step; what is stored comes first.
+    """A field of the result or a derived one (DERIVED) of a step; what is stored comes first.
 
     Raises KeyError naming what there is for a name that is neither.
     """
-    for location, stored in (("point", result.point_fields), ("cell", result.cell_fields)):
-        if name in stored:
+    for location, fields in (
+        ("point", result.point_fields),
+        ("cell", result.cell_fields + result.computed_fields),
+    ):
+        if name in fields:
             field = result.describe(name)
             return Quantity(name, location, result.field(name, step), field.unit, field.meaning)
     if name not in DERIVED:
-        known = ", ".join(available(result))
-        raise KeyError(f"no field {name!r}; there are {known}")
+        raise KeyError(f"no field {name!r}; there are {', '.join(known(result))}")
     points = result.points(step)
     if name == "displacement":
         values = points - result.start
@@ -50,8 +52,13 @@ def quantity(result: Result, name: str, step: int = -1) -> Quantity:
     return Quantity(name, "cell" if name == "strain" else "point", values, *DERIVED[name])
 
 
-def available(result: Result) -> list[str]:
+def known(result: Result) -> list[str]:
     """Names `quantity` takes for this result."""
+    return sorted({*available(result), *result.computed_fields})
+
+
+def available(result: Result) -> list[str]:
+    """Those of `known` that the result's file alone tells."""
     return sorted({*DERIVED, *result.point_fields, *result.cell_fields})
 
 

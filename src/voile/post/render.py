@@ -16,10 +16,10 @@ from voile.post import contact, swing
 from voile.post.camera import Camera, look, parse_scene, upright
 from voile.post.quantities import (
     Quantity,
-    available,
     boundary_edges,
     hinge_angles,
     hinges,
+    known,
     quantity,
     vertex_curvature,
 )
@@ -110,8 +110,8 @@ def check_size(size: tuple[int, int]) -> None:
 
 def check_field(result: Result, field: str) -> None:
     """InputError for a field that a result does not have."""
-    if field not in available(result):
-        raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(available(result))}")
+    if field not in known(result):
+        raise InputError(f"{result.path}: no field {field!r}; allowed: {', '.join(known(result))}")
 
 
 def _rest(result: Result) -> Reals:

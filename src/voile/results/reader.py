@@ -81,6 +81,8 @@ class Result:
     Steps out of range raise IndexError, unknown fields KeyError naming the known ones.
     """
 
+    computed_fields: tuple[str, ...] = ()  # on triangles, that `field` of a derived class computes
+
     def __init__(self, path: Path, file: Any):
         self.path, self._file = path, file
         with intact(path):
