@@ -6,6 +6,7 @@ supports hold the shell along every axis, and implicit steps in pseudo-time.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -38,24 +39,21 @@ ROUGH_PATIENCE = 8
 
 
 class Solver:
-    """Finds equilibria of a problem at any time. `norm`: the last one's residual (N; with contact also the
-    mismatch of its laws); `negative`: eigenvalues of its tangent, None where not known."""
+    """Finds equilibria of a problem at any time."""
 
     def __init__(self, problem: Problem, options: StaticsOptions, counts: Counts | None = None):
         self.problem, self.work = problem, Workspace(problem, counts)
         self.perturbation = options.perturbation * problem.thickness()
         self.descent = Descent(self.work)
-        self.norm = np.inf
-        self.negative: int | None = None
         self.off_saddle: OffSaddle | None = None
         self.nests = options.nested and pays(problem)
         self.nested: Nested | None = None
         if problem.contact:
             self._for_contact(problem, options)
         else:
-            self.mixed = MixedNewton(self.work, MixedOptions(iterations=10) if self.nests else None)
+            mixed = MixedNewton(self.work, MixedOptions(iterations=10) if self.nests else None)
             minimum: Method = Sharpened(Minimum(self.descent, self.perturbation), self.descent)
-            self.first: Method = Sharpened(self.mixed, self.mixed) if options.first == "newton" else minimum
+            self.first: Method = Sharpened(mixed, mixed) if options.first == "newton" else minimum
             first, nested = self._nested(self.first, minimum, options)
             self.near = Cascade([first])
             self.all = Cascade([*nested, minimum])
@@ -111,10 +109,7 @@ class Solver:
         if not math.isfinite(wanted):
             return Outcome(False, "", "the loads are not finite")
         if not problem.contact:
-            outcome = attempt(by, problem, y, wanted)
-            newton = self.mixed if outcome.method == self.mixed.name else self.descent
-            self.norm, self.negative = newton.nonlinear.norm, newton.negative
-            return outcome
+            return attempt(by, problem, y, wanted)
         if _carried_through(problem, y):
             reason = "supports carry layers of the shell through each other in one load step"
             return Outcome(False, "", reason)
@@ -125,9 +120,8 @@ class Solver:
         if sliding := unbalanced(problem, y, wanted):
             return Outcome(False, "", sliding, gone=True)
         outcome = attempt(by, problem, y, wanted)
-        if outcome.converged:
-            self.norm = outcome.norm or float(np.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
-            self.negative = self.semismooth.negative
+        if outcome.converged and not math.isfinite(outcome.norm):
+            outcome = replace(outcome, norm=math.hypot(*law_norms(problem, y, y.duplicate(), wanted)))
         return outcome
 
     def leave_saddle(self, problem: Problem, y: PETSc.Vec, wanted: float) -> bool:

@@ -2,6 +2,7 @@
 the reactions are updated (a Tresca fixed point; Simo & Laursen 1992) and the semismooth method tried.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -84,16 +85,16 @@ class AugmentedLagrangian:
             potential.update(problem.point(y))
             potential = replace(potential, softness=min(options.hardening * potential.softness, 1.0))
             settled = self.descent.nonlinear.iterations <= 2 or potential.softness == 1.0
-            if settled and self._finished(problem, y, tolerance):
-                return Outcome(True, self.name)
+            if settled and (found := self._finish(problem, y, tolerance)).converged:
+                return replace(found, method=self.name)
             rough *= 0.1
         missed = self.descent.nonlinear.missed(self.name, y)
         reason = f"{options.updates} updates of the reactions did not converge; {missed.reason}"
         return replace(missed, reason=reason)
 
-    def _finished(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
-        """Whether the updated reactions are those of an equilibrium, or near enough for the semismooth method."""
-        residual, mismatch = law_norms(problem, y, y.duplicate(), tolerance)
-        if (residual**2 + mismatch**2) ** 0.5 <= tolerance:
-            return True
-        return attempt(self.semismooth, problem, y, tolerance).converged
+    def _finish(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
+        """The equilibrium that the updated reactions are those of, or near enough for the semismooth method."""
+        norm = math.hypot(*law_norms(problem, y, y.duplicate(), tolerance))
+        if norm <= tolerance:
+            return Outcome(True, self.name, norm=norm)
+        return attempt(self.semismooth, problem, y, tolerance)

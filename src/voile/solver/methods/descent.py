@@ -91,7 +91,7 @@ class Descent:
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
         if self.run(problem, y, tolerance):
-            return Outcome(True, self.name)
+            return Outcome(True, self.name, norm=self.nonlinear.norm, negative=self.negative)
         return self.nonlinear.missed(self.name, y)
 
     def run(

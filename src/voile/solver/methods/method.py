@@ -1,5 +1,6 @@
 """What all methods share: their interface, their workspace, their SNES."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,8 +24,8 @@ REASONS = {value: name.lower() for name, value in vars(_REASON).items() if isins
 class Outcome:
     """How an equilibrium was found (`method`), or the reason why not. gone: there is none, the shell slides away;
     saddle: an unstable one found instead; blurred: an iterate that only round-off may keep from the tolerance; norm: of
-    the residual and of what the laws miss at the end (N), where the method knows it; watched: no step on the way led
-    through an obstacle."""
+    the residual and of what the laws miss at the end (N), and negative: eigenvalues of the tangent there, where the
+    method knows them; watched: no step on the way led through an obstacle."""
 
     converged: bool
     method: str
@@ -32,7 +33,8 @@ class Outcome:
     gone: bool = False
     saddle: State | None = None
     blurred: State | None = None
-    norm: float | None = None
+    norm: float = math.inf
+    negative: int | None = None
     watched: bool = False
 
 

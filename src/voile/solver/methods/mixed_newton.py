@@ -44,7 +44,7 @@ class MixedNewton:
         """See Method."""
         self.stalled, self.negative = False, None
         if self.nonlinear.run(problem, y, tolerance, self.options.iterations):
-            return Outcome(True, self.name)
+            return Outcome(True, self.name, norm=self.nonlinear.norm, negative=self.negative)
         return self.nonlinear.missed(self.name, y)
 
 

@@ -224,8 +224,8 @@ class PseudoTransient:
             problem.restore(y, before)
             return self._failed("the way on leads through an obstacle")
         if found.converged and (problem.held or contact.moves):
-            self._recall(problem, y, tolerance, start)
-        return replace(found, method=self.name, norm=None, watched=self.watches)
+            found = self._recall(problem, y, tolerance, start) or found
+        return replace(found, method=self.name, watched=self.watches)
 
     def _sharpened(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
@@ -234,15 +234,18 @@ class PseudoTransient:
         problem.move_origin(y)
         return True
 
-    def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> None:
+    def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> Outcome | None:
         """An equilibrium whose slip is that of the whole load step, where there is one near: that of pseudo-time is
         measured from its own last step."""
         contact, began = contact_of(problem), start.history
         assert began is not None
         found, history = contact.history.copy(), contact.history
         history.reference, history.time, history.layers = began.reference, began.time, began.layers
-        if not attempt(self.semismooth, problem, y, tolerance).converged:
-            contact.history = found
+        again = attempt(self.semismooth, problem, y, tolerance)
+        if again.converged:
+            return again
+        contact.history = found
+        return None
 
     def _beside(self, problem: Problem, y: PETSc.Vec, saddle: State, kicks: int) -> bool:
         """Whether y is already further from a saddle than the next kick would put it."""

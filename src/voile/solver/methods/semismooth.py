@@ -87,7 +87,7 @@ class Semismooth:
         if not done:
             return self.nonlinear.missed(self.name, y)
         reason = by_round_off(self.nonlinear.norm, tolerance) if self.still else ""
-        return Outcome(True, self.name, reason, norm=self.nonlinear.norm)
+        return Outcome(True, self.name, reason, norm=self.nonlinear.norm, negative=self.negative)
 
 
 class Iterate:

@@ -20,9 +20,11 @@ Run = Callable[[Problem, PETSc.Vec, float], Outcome]
 
 
 class Stalling(Protocol):
-    """A method that knows whether only round-off was left of its last residual, above the tolerance."""
+    """A method that knows whether only round-off was left of its last residual, above the tolerance; `negative`:
+    eigenvalues of its last tangent, None where not known."""
 
     stalled: bool
+    negative: int | None
     nonlinear: Nonlinear
 
 
@@ -123,8 +125,9 @@ def sharpened(run: Run, newton: Stalling, problem: Problem, y: PETSc.Vec, tolera
         return outcome
     problem.move_origin(y)
     outcome = run(problem, y, tolerance)
-    reason = to_round_off(problem, y, newton.nonlinear.norm, tolerance) if newton.stalled else ""
-    return Outcome(True, outcome.method, reason) if reason else outcome
+    norm = newton.nonlinear.norm
+    reason = to_round_off(problem, y, norm, tolerance) if newton.stalled else ""
+    return Outcome(True, outcome.method, reason, norm=norm, negative=newton.negative) if reason else outcome
 
 
 class Sharpened:

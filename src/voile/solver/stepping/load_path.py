@@ -137,7 +137,7 @@ class LoadPath:
     def _blurred(self, outcome: Outcome) -> tuple[LoadStep, State] | None:
         """Of a failure: the step that round-off may have kept from the tolerance, and its state."""
         problem, state = self.problem, outcome.blurred
-        if state is None or outcome.norm is None:
+        if state is None:
             return None
         y = problem.unknowns_of(state)
         figures = outcome.norm, tolerance(problem, y, self.asked), problem.energies(y)
@@ -208,17 +208,17 @@ class LoadPath:
                 return None, outcome
             watched = outcome.watched if not method else watched
             method = method or outcome.method  # the first one found it, later ones only sharpen it
-            if outcome.reason or solver.norm <= tolerance(problem, y, self.asked):  # a reason: to round-off
+            if outcome.reason or outcome.norm <= tolerance(problem, y, self.asked):  # a reason: to round-off
                 break
         else:
             return None, Outcome(False, method, "the tolerance, taken from the state, does not settle")
         done = LoadStep(
             problem.time,
             solver.work.counts.iterations - before,
-            solver.norm,
+            outcome.norm,
             wanted,
             problem.energies(y),
-            solver.negative,
+            outcome.negative,
             contact_report(problem, y) if problem.contact else None,
             method,
             outcome.reason or "residual below tolerance",
