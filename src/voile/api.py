@@ -81,19 +81,18 @@ class Result(voile.results.Result):
 
     def field(self, name: str, step: int = -1) -> Array:
         """Point data (n, ...) or cell data (m, ...) at a step: what the file holds; else computed from the shapes
-        (displacement, strain, curvature, mean_curvature) or, of `output.fields`, from the scene's model.
+        (displacement, strain, curvature, mean_curvature) or, of `output.fields`, from the scene's model; smooth_*: at
+        vertices.
 
         Raises KeyError that names what there is; InputError where the scene or its meshes are not found.
         """
-        from voile.post.quantities import DERIVED, quantity
+        from voile.post.quantities import quantity
 
         if name in self.point_fields + self.cell_fields:
             return super().field(name, step)
-        if name in DERIVED:
-            return quantity(self, name, step).values
         if name in self.computed_fields:
             return self._stresses.field(name, self._step(step))
-        raise KeyError(f"no field {name!r}; there are {', '.join(self.known_fields)}")
+        return quantity(self, name, step).values
 
     @property
     def known_fields(self) -> tuple[str, ...]:
@@ -108,9 +107,9 @@ class Result(voile.results.Result):
 
     def unit(self, name: str) -> str:
         """SI unit of a field, "" where it has none."""
-        from voile.post.quantities import DERIVED
+        from voile.post.quantities import unit
 
-        return DERIVED[name][0] if name in DERIVED else super().unit(name)
+        return unit(name) or super().unit(name)
 
     def section(self, step: int = -1, **keys: Any) -> dict[str, Any]:
         """What the rest of the shell exerts at a step across a cut on what lies inside: `force` (3,) N, `moment` (3,)

@@ -1,10 +1,11 @@
-"""Quantities computed from the shapes in a result: strain per triangle, curvature per vertex."""
+"""Quantities computed from the shapes in a result: strain per triangle, curvature per vertex; stresses at vertices."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from voile.arrays import Array, Ints, Reals
+from voile.post.recovery import TENSORS, described, recovered
 from voile.results import Result
 
 
@@ -39,6 +40,8 @@ def quantity(result: Result, name: str, step: int = -1) -> Quantity:
         if name in fields:
             field = result.describe(name)
             return Quantity(name, location, result.field(name, step), field.unit, field.meaning)
+    if name in TENSORS and name in known(result):
+        return Quantity(name, "point", recovered(result, name, step), *described(name))
     if name not in DERIVED:
         raise KeyError(f"no field {name!r}; there are {', '.join(known(result))}")
     points = result.points(step)
@@ -52,9 +55,17 @@ def quantity(result: Result, name: str, step: int = -1) -> Quantity:
     return Quantity(name, "cell" if name == "strain" else "point", values, *DERIVED[name])
 
 
+def unit(name: str) -> str:
+    """SI unit of a derived field; "" of others."""
+    return described(name)[0] if name in TENSORS else DERIVED.get(name, ("", ""))[0]
+
+
 def known(result: Result) -> list[str]:
     """Names `quantity` takes for this result."""
-    return sorted({*available(result), *result.computed_fields})
+    on_triangles = {*result.cell_fields, *result.computed_fields}
+    return sorted(
+        {*available(result), *on_triangles, *(n for n, of in TENSORS.items() if on_triangles.issuperset(of))}
+    )
 
 
 def available(result: Result) -> list[str]:
