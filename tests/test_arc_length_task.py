@@ -137,7 +137,7 @@ def test_every_few_steps_and_the_last(scene, tmp_path):
 def test_plots_and_films(scene, tmp_path):
     pytest.importorskip("pyvista")
     pytest.importorskip("av")
-    assert run(scene(ROOF)) == 0
+    assert run(scene(ROOF), "--set", "output.every=7") == 0
     out = str(tmp_path / "out")
     assert main(["plot", out, "load_displacement", "displacement:0"]) == 0
     assert main(["animate", out, "--field", "displacement", "-o", str(tmp_path / "a.gif")]) == 0

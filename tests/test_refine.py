@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from command_line import refused, voile
 from mesh_helpers import areas, generator, obj
-from test_cli import SCENE, cells, refused, two_panels, voile
+from test_cli import SCENE, cells, two_panels
 
 from voile import run as voile_run
 from voile.errors import InputError

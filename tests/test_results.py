@@ -207,6 +207,8 @@ def test_killed_runs_keep_their_last_complete_step(tmp_path):
         with read_result(path) as result:
             check(result, result.n_steps)
             seen.append(result.n_steps)
+        if attempt > 8 and max(seen) > 16:
+            break
     assert max(seen) > 16, f"no run was killed after a rebuild: {seen}"
 
 

@@ -122,7 +122,7 @@ def test_steps_on_a_turning_sphere_are_newtons(friction):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("name", "steps", "exact"), [("free", 100, 1e-10), ("sphere", 60, 1e-6), ("layers", 14, 1e-6)]
+    ("name", "steps", "exact"), [("free", 50, 1e-10), ("sphere", 30, 1e-6), ("layers", 14, 1e-6)]
 )
 def test_any_number_of_ranks_finds_the_same(tmp_path, mpirun, monkeypatch, rank_counts, name, steps, exact):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from command_line import voile
 from inverse_shells import folded_skirt, grid
 from test_direct import sheet_with_flap, tube
 from test_panels import cone_skirt
@@ -52,7 +53,7 @@ def command(*options):
 
 
 def run(folder, *options):
-    done = subprocess.run(command(*options), cwd=folder, capture_output=True, text=True, timeout=200)
+    done = voile(*command(*options)[3:], cwd=folder)
     return done.returncode, done.stdout + done.stderr
 
 
@@ -65,11 +66,7 @@ def on_a_rod(tmp_path):
 
 
 def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
-    told = [*command()[:3], "explain", "scene.toml"]
-    assert (
-        "Newton in the rest shape"
-        in subprocess.run(told, cwd=on_a_rod, capture_output=True, text=True).stdout
-    )
+    assert "Newton in the rest shape" in voile("explain", "scene.toml", cwd=on_a_rod).stdout
     code, said = run(on_a_rod)
     assert code == 0, said
     summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
@@ -150,10 +147,10 @@ def test_a_rest_shape_is_kept_before_it_is_proved(on_a_rod, monkeypatch):
     assert (on_a_rod / "out" / "pattern.dxf").stat().st_size > 1000
 
 
-def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun):
+def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun, rank_counts):
     assert run(on_a_rod)[0] == 0
     one = read_mesh(on_a_rod / "out" / "rest.obj").points
-    for ranks in (2, 4):
+    for ranks in rank_counts[1:]:
         done = mpirun(ranks, ["-wdir", str(on_a_rod), *command()], 200)
         assert done.returncode == 0, done.stderr
         np.testing.assert_allclose(read_mesh(on_a_rod / "out" / "rest.obj").points, one, atol=1e-9)
