@@ -5,7 +5,7 @@ import numpy as np
 from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
-from voile.elastic.plate import plate_stiffness
+from voile.elastic.plate import Bending, bending_of
 from voile.problem.follower import pressure_origin
 from voile.problem.shell import Shell
 from voile.scene import Scene
@@ -243,8 +243,8 @@ def _refined(scene: Scene, model: Model) -> str:
     return f", {count}, refined {times} time{'s' * (times > 1)}" if times else ""
 
 
-def _plate_stiffness(shell: Shell) -> tuple[float, float] | None:
-    """See `plate_stiffness`: of the middle of a rest shape in one plane, None of others."""
+def _bending(shell: Shell) -> Bending | None:
+    """Of the middle of a rest shape in one plane, None of others."""
     x, t = shell.rest_points - shell.rest_points.mean(axis=0), shell.rest_triangles
     _, _, axes = np.linalg.svd(x, full_matrices=False)
     x = x @ axes.T
@@ -257,7 +257,7 @@ def _plate_stiffness(shell: Shell) -> tuple[float, float] | None:
     names = {"model": model, **({"bending": bending} if bending else {})}
     names |= {"material": material} if material else {}
     fabric = {name: getattr(shell, name)[near] for name in ("thickness", "young", "poisson")}
-    return plate_stiffness(x[used], triangles.reshape(-1, 3), model=names, **fabric)
+    return bending_of(x[used], triangles.reshape(-1, 3), model=names, **fabric)
 
 
 def explain(scene: Scene, model: Model) -> str:
@@ -294,11 +294,15 @@ def explain(scene: Scene, model: Model) -> str:
             "'tan' converges"
         )
     if "bending" in kept and not has_directors(shell.model):
-        low, high = _plate_stiffness(shell) or (1.0, 1.0)
-        if low < 1.0 - PLATE or high > 1.0 + PLATE:
+        found = _bending(shell)
+        (low, high), (least, most) = (
+            (found.of_cylinders(), found.of_all()) if found else ((1.0, 1.0), (1.0, 1.0))
+        )
+        if least < 1.0 - PLATE or most > 1.0 + PLATE:
             lines.append(
-                f"  note: {scene.shell.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly, by direction, "
-                "as the plate of its E, nu and h; model = 'koiter' with bending = 'tan' converges to that"
+                f"  note: {scene.shell.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly to cylinders "
+                f"(by direction), {least:.2f} to {most:.2f} times to any shape (domes, saddles), as the plate of its "
+                "E, nu and h; model = 'koiter' with bending = 'tan' converges to that"
             )
     if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
         lines.append(

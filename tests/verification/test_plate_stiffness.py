@@ -4,17 +4,21 @@ import numpy as np
 import pytest
 
 from voile.cli import main
-from voile.elastic.plate import plate_stiffness
+from voile.elastic.plate import bending_of
 from voile.validate.shells import mapped
 
 HINGES = ({"model": "discrete-shells"}, {"model": "koiter", "bending": "average"}, {"model": "projective"})
 
 
-def stiffness(points, triangles, model, poisson=0.0):
+def bent(points, triangles, model, poisson=0.0):
     one = np.ones(len(triangles))
-    return plate_stiffness(
+    return bending_of(
         points, triangles, thickness=1e-3 * one, young=1e6 * one, poisson=poisson * one, model=model
     )
+
+
+def stiffness(points, triangles, model):
+    return bent(points, triangles, model).of_cylinders()
 
 
 def equilateral(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -36,6 +40,16 @@ def test_hinges_on_regular_triangles_are_the_plate(model):
         errors.append(1.0 - low)
         assert high < 1.0 + 1e-9
     assert errors[2] < 0.03 and errors[0] / errors[1] > 1.8 and errors[1] / errors[2] > 1.8
+
+
+def test_hinges_have_a_poisson_ratio_of_their_own():
+    """Those of regular triangles add up to D (k1^2 + k2^2 - 2 k1 k2 / 3) / 2, whatever nu is: with nu = -1/3. That of
+    'average' has the plate's."""
+    nu, mesh = 0.3, equilateral(40)
+    for model, own in ((HINGES[0], -1.0 / 3.0), (HINGES[1], nu)):
+        least, most = bent(*mesh, model, nu).of_all()
+        assert least == pytest.approx((1.0 + own) / (1.0 + nu), rel=0.06) and least < (1.0 + own) / (1.0 + nu)
+        assert most == pytest.approx((1.0 - own) / (1.0 - nu), rel=0.06)
 
 
 def test_hinges_on_repeated_cells_are_not():
@@ -61,6 +75,9 @@ def test_explain_says_the_figure(tmp_path, capsys):
     text = '[shell]\nmesh = "mesh.obj"\nmodel = "discrete-shells"\nyoung = 1e6\nthickness = 1e-3\ndensity = 300.0\n'
     (tmp_path / "scene.toml").write_text(text + "[[fix]]\nselect = { box = [[0, -1, 0], [0, 1, 1]] }\n")
     assert main(["explain", str(tmp_path / "scene.toml")]) == 0
-    assert "discrete-shells bends this mesh 0.87 to 2.46" in capsys.readouterr().out
+    assert (
+        "discrete-shells bends this mesh 0.87 to 2.46 times as stiffly to cylinders"
+        in capsys.readouterr().out
+    )
     assert main(["explain", str(tmp_path / "scene.toml"), "--set", "shell.model=koiter"]) == 0
     assert "times as stiffly" not in capsys.readouterr().out

@@ -1,8 +1,10 @@
 """How stiffly a model without director angles bends a mesh, beside the plate of its E, nu and h."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import splu
 
 from voile.arrays import Flags, Ints, Reals
@@ -11,7 +13,28 @@ from voile.elastic.evaluate import evaluate
 DIRECTIONS = 6  # of 180 degrees
 
 
-def plate_stiffness(
+@dataclass(frozen=True)
+class Bending:
+    """Quadratic forms (3, 3) of the curvatures xx, yy, xy of a flat mesh: twice the energy of the mesh bent so, and of
+    the plate that it stands for."""
+
+    mesh: Reals
+    plate: Reals
+
+    def of_cylinders(self) -> tuple[float, float]:
+        """Least and largest ratio of both where the curvature is that of a cylinder, along several directions."""
+        angle = np.pi / DIRECTIONS * np.arange(DIRECTIONS)
+        bent = np.array([np.cos(angle) ** 2, np.sin(angle) ** 2, np.cos(angle) * np.sin(angle)])
+        ratios = (bent * (self.mesh @ bent)).sum(axis=0) / (bent * (self.plate @ bent)).sum(axis=0)
+        return float(ratios.min()), float(ratios.max())
+
+    def of_all(self) -> tuple[float, float]:
+        """The same over all curvatures: domes and saddles too."""
+        ratios = eigvalsh(self.mesh, self.plate)
+        return float(ratios[0]), float(ratios[-1])
+
+
+def bending_of(
     points: Reals,
     triangles: Ints,
     *,
@@ -19,12 +42,11 @@ def plate_stiffness(
     young: Reals,
     poisson: Reals,
     model: Mapping[str, str],
-) -> tuple[float, float]:
-    """Least and largest energy of a flat mesh (n, 3), z = 0, bent to cylinders along several directions, over that of
-    a plate, E h^3 / (12 (1 - nu^2)) / 2 per curvature squared and area; small deflections.
+) -> Bending:
+    """How stiffly a flat mesh (n, 3), z = 0, bends; small deflections.
 
-    The deflection is a parabola at the border and next to it; inside it is the one of least energy, as in
-    equilibrium. Per triangle thickness (m), young (Pa), poisson; model: what `evaluate` takes of it.
+    The deflection is quadratic at the border and next to it; inside it is the one of least energy, as in equilibrium.
+    Per triangle thickness (m), young (Pa), poisson; model: what `evaluate` takes of it.
     """
     x = points - points.mean(axis=0)
     fabric = {"thickness": thickness, "young": young, "poisson": poisson}
@@ -34,16 +56,14 @@ def plate_stiffness(
     bends = flat.hessian[upright][:, upright].tocsc()
     corner = x[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    plate = float(area @ (young * thickness**3 / (12.0 * (1.0 - poisson**2))))
+    stiffness = area * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
+    whole, side = stiffness.sum(), stiffness @ poisson
+    plate = np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, 2.0 * (whole - side)]])
+    deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
     inside = _inside(triangles, len(x))
-    factor = splu(bends[inside][:, inside]) if inside.any() else None
-    ratios = []
-    for angle in np.pi / DIRECTIONS * np.arange(DIRECTIONS):
-        deflection = 0.5 * (x[:, 0] * np.cos(angle) + x[:, 1] * np.sin(angle)) ** 2
-        if factor:
-            deflection[inside] -= factor.solve((bends @ deflection)[inside])
-        ratios.append(deflection @ (bends @ deflection) / plate)
-    return min(ratios), max(ratios)
+    if inside.any():
+        deflection[inside] -= splu(bends[inside][:, inside]).solve((bends @ deflection)[inside])
+    return Bending(deflection.T @ (bends @ deflection), plate)
 
 
 def _inside(triangles: Ints, count: int) -> Flags:
