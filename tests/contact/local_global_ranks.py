@@ -53,7 +53,7 @@ def main() -> None:
     march.run(LocalGlobal(problem, Options(iterations=2000)).solve, int(steps))
     reaction = np.zeros_like(march.x)
     if problem.contact:
-        reaction = problem.contact.force(march.x, march.time, frozen=False)
+        reaction = problem.contact.reactions(march.x, march.time)
     x, reaction = gathered(problem, march.x), gathered(problem, reaction)
     if x is not None:
         np.savez(out, x=x, reaction=reaction)

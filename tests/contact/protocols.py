@@ -139,8 +139,8 @@ class Balance:
         bound, way = np.zeros(len(x)), np.zeros(len(x))
         for pairs in problem.contact.pairs(x, problem.time):
             friction = problem.contact.obstacles[pairs.index].friction
-            normal = problem.contact.project(pairs)[0]
-            bound[pairs.vertex] = friction * normal * problem.contact.slips(pairs)
+            normal = pairs.project()[0]
+            bound[pairs.vertex] = friction * normal * pairs.slips
             moved = (x - self.x)[pairs.vertex]
             sideways = moved - (moved * pairs.unit).sum(axis=1)[:, None] * pairs.unit
             way[pairs.vertex] = np.linalg.norm(sideways, axis=1)

@@ -110,14 +110,14 @@ def pressed_sheets(friction: float) -> tuple[Contact, np.ndarray]:
 def test_force_and_blocks_derive_from_the_energy(friction):
     contact, x = pressed_sheets(friction)
     direction = 1e-2 * OFFSET * np.random.default_rng(5).normal(size=x.shape)
-    force = contact.force(x, 1.0, frozen=True)
+    force = contact.force(x, 1.0)
     assert np.abs(force).max() > 0.0 and np.abs(force.sum(axis=0)).max() < 1e-12 * np.abs(force).sum()
     assert min(taylor_rates(lambda z: contact.energy(z, 1.0), -np.sum(force * direction), x, direction)) > 1.9
     slope = np.zeros_like(x)
     for vertex, block in contact.blocks(x, 1.0, convex=False):
         moved = np.einsum("pij,pj->pi", block, direction[vertex].reshape(len(vertex), 12))
         np.add.at(slope, vertex, moved.reshape(-1, 4, 3))
-    rates = taylor_rates(lambda z: -contact.force(z, 1.0, frozen=True), slope, x, direction)
+    rates = taylor_rates(lambda z: -contact.force(z, 1.0), slope, x, direction)
     assert min(rates) > 1.8
     for _, block in contact.blocks(x, 1.0, convex=True):
         assert np.linalg.eigvalsh(block).min() >= -1e-10 * contact.rho(0)

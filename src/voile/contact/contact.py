@@ -4,7 +4,8 @@ Two forms of the natural map serve the solver:
 
 - `force`, `energy`, `blocks`: the projection of lambda on the cone, with frozen r and (but in the normal direction)
   frozen bounds mu r_N the gradient of a potential, to descend on (augmented Lagrangian, Simo & Laursen 1992);
-- `linearise`: the semismooth Newton equations of Signorini's and Coulomb's laws for the reactions themselves.
+- `reactions`: the projection on Coulomb's cone itself, which the laws ask r to be; `linearise`: their semismooth Newton
+  equations for r.
 """
 
 import time
@@ -112,31 +113,28 @@ class Contact(NaturalMap):
         self.seconds += time.perf_counter() - began
         return total
 
-    def force(self, x: Reals, t: float, frozen: bool, softness: float = 1.0) -> Reals:
-        """(n, 3) projected trial reactions on the shell (N)."""
+    def force(self, x: Reals, t: float, softness: float = 1.0) -> Reals:
+        """(n, 3) minus the gradient of `energy` (N)."""
         total = np.zeros_like(x)
-        for p in self.pairs(x, t, softness, frozen=frozen):
-            normal, tangential = self.project(p, frozen)
-            if frozen:
-                normal += self.guard(p)[1]
-            self.collect(p, partial(p.spread, normal, tangential), total)
+        for p in self.frozen_pairs(x, t, softness):
+            normal, tangential = p.project()
+            self.collect(p, partial(p.spread, normal + self.guard(p)[1], tangential), total)
         return total
 
     def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0) -> Iterator[tuple[Ints, Reals]]:
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
-        for p in self.pairs(x, t, softness, frozen=True):
+        for p in self.frozen_pairs(x, t, softness):
             _, push, stiff = self.guard(p)
             stiff += p.rho * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
             if not convex:
                 block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
-            size, bound = lengths(p.lam_t), self._bounds(p, True)
-            slips = size > bound
-            share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
+            size, slips = lengths(p.lam_t), lengths(p.lam_t) > p.bound
+            share = np.where(slips, p.bound / np.maximum(size, 1e-300), 1.0)
             normal = self.history.frozen_normal[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
             tangent = np.eye(3) - outer(normal, normal) - slips[:, None, None] * outer(along, along)
-            tangent *= p.rho * (share * (bound > 0.0))[:, None, None]
+            tangent *= p.rho * (share * (p.bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.slip_weight)
 
     def adopt(self, x: Reals, t: float, softness: float = 1.0) -> None:
@@ -145,7 +143,7 @@ class Contact(NaturalMap):
         pairs = self.pairs(x, t, softness)
         fresh = self.history.each(np.zeros_like)
         for p in pairs:
-            normal, fresh.friction[p.index][p.row] = self.project(p)
+            normal, fresh.friction[p.index][p.row] = p.project()
             fresh.normal[p.index][p.row] = normal + self.guard(p)[1]
         self.history = fresh
         self.freeze(x, t)
@@ -165,8 +163,15 @@ class Contact(NaturalMap):
                 s.frozen_weight[k][rows] = g.weight
                 s.tresca[k][rows] *= gradient_norm
 
-    # ---- as equations ----
+    # ---- as laws ----
+
+    def reactions(self, x: Reals, t: float) -> Reals:
+        """(n, 3) projected trial reactions on the shell (N): the reactions themselves where the laws hold."""
+        total = np.zeros_like(x)
+        for p in self.pairs(x, t):
+            self.collect(p, partial(p.spread, *p.project()), total)
+        return total
 
     def linearise(self, x: Reals, t: float) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions."""
-        return Linearised(self, [Equations(self, p) for p in self.pairs(x, t, pliable=True)])
+        return Linearised(self, [Equations(self, p) for p in self.opening_pairs(x, t)])

@@ -24,14 +24,13 @@ class Equations:
         self.normal = s.normal[p.index][p.row].copy()
         self.friction = within(p.unit, s.friction[p.index][p.row])
         size = np.maximum(lengths(p.lam_t), 1e-300)
-        bound = self.mu * p.gradient_norm * np.maximum(p.lam_n, 0.0)
-        self.stick = self.active & (fresh | (size <= bound)) & (self.mu > 0.0)
+        self.stick = self.active & (fresh | (size <= p.bound)) & (self.mu > 0.0)
         self.slips = self.active & ~self.stick
         along = p.lam_t / size[:, None]
         self.along = (self.mu * p.gradient_norm)[:, None] * along  # friction per lam_n
         self.tangential = np.eye(3) - outer(p.unit, p.unit)
         self.sideways = self.tangential - outer(along, along)
-        share = np.where(self.slips & (self.mu > 0.0), np.minimum(bound / size, 1.0 - 1e-5), 0.0)
+        share = np.where(self.slips & (self.mu > 0.0), np.minimum(p.bound / size, 1.0 - 1e-5), 0.0)
         self.turning = rho * share / (1.0 - share)  # N/m: friction's direction follows the slip's
         self.pressed = np.maximum(p.lam_n, 0.0)
 

@@ -171,13 +171,20 @@ class NaturalMap:
         found: Reals = self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
         return found
 
-    def pairs(
-        self, x: Reals, t: float, softness: float = 1.0, *, frozen: bool = False, pliable: bool = False
-    ) -> list[Pairs]:
-        """The pairs with each partner that may carry a reaction. softness: of rho; frozen: normals and weights of the
-        history instead of x's; pliable: see `opening`."""
+    def pairs(self, x: Reals, t: float, softness: float = 1.0) -> list[Pairs]:
+        """The pairs with each partner that may carry a reaction, under the laws; softness: of rho."""
+        return self._pairs(x, t, softness, softness, frozen=False)
+
+    def frozen_pairs(self, x: Reals, t: float, softness: float) -> list[Pairs]:
+        """The same with the normals, weights and friction bounds of the history instead of x's."""
+        return self._pairs(x, t, softness, softness, frozen=True)
+
+    def opening_pairs(self, x: Reals, t: float) -> list[Pairs]:
+        """As `pairs`, of which equations decide what opens: see `opening`."""
+        return self._pairs(x, t, 1.0, self.opening, frozen=False)
+
+    def _pairs(self, x: Reals, t: float, softness: float, across: float, frozen: bool) -> list[Pairs]:
         began = time.perf_counter()
-        across = softness * (self.opening if pliable else 1.0)
         found = [self._near(k, x, t, softness, across, frozen) for k in range(len(self.partners))]
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
@@ -209,21 +216,9 @@ class NaturalMap:
         d = partner.moved(rows, weight, wide, t, s)
         trial = within(normal, s.friction[k][rows] - rho * d)
         lam_n = s.normal[k][rows] - steep * g.gap
-        slip = within(normal, d)
-        return Pairs(k, partner.friction, rho, rows, g, unit, gradient_norm, lam_n, trial, slip, weight)
-
-    def _bounds(self, p: Pairs, frozen: bool) -> Reals:
-        if frozen:
-            return self.history.tresca[p.index][p.row]
-        found: Reals = p.friction * p.gradient_norm * np.maximum(p.lam_n, 0.0)
-        return found
-
-    def project(self, p: Pairs, frozen: bool = False) -> tuple[Reals, Reals]:
-        """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
-        size = lengths(p.lam_t)
-        bound = self._bounds(p, frozen)
-        share = np.where(size > bound, bound / np.maximum(size, 1e-300), 1.0)
-        return np.maximum(p.lam_n, 0.0), share[:, None] * p.lam_t
+        slip, mu = within(normal, d), partner.friction
+        bound = s.tresca[k][rows] if frozen else mu * gradient_norm * np.maximum(lam_n, 0.0)
+        return Pairs(k, mu, rho, rows, g, unit, gradient_norm, lam_n, trial, bound, slip, weight)
 
     def guard(self, p: Pairs) -> Reals:
         """`keeps_apart` of pairs."""
@@ -235,12 +230,6 @@ class NaturalMap:
         if k < len(self.obstacles) or self.itself is None:
             return np.zeros((3, len(rows)))
         return BARRIER * rho * barrier(gap, self.history.candidates.min_distance[rows])
-
-    def slips(self, p: Pairs) -> Flags:
-        """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
-        beyond = lengths(p.lam_t) > self._bounds(p, False)
-        found: Flags = (p.lam_n > 0.0) & beyond | (p.friction == 0.0)
-        return found
 
     def counted(self, p: Pairs) -> Flags:
         """(p,) marks the pairs that count on this rank."""
@@ -269,7 +258,7 @@ class NaturalMap:
         pairs, s, total = self.pairs(x, t), self.history, 0.0
         held = [normal != 0.0 for normal in s.normal]
         for p in pairs:
-            normal, tangential = self.project(p)
+            normal, tangential = p.project()
             own = self.counted(p)
             total += float((((s.normal[p.index][p.row] - normal) ** 2)[own]).sum())
             total += float(((s.friction[p.index][p.row] - tangential)[own] ** 2).sum())

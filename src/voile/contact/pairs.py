@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.directions import lengths
 
 FREE, STICK, SLIP = 0, 1, 2
@@ -28,9 +28,9 @@ class Geometry:
 class Pairs:
     """Contacts of the shell with one partner (obstacle or itself; p of them), rho (N/m) the natural map's scale, `row`
     their places in its part of the history; the gap's Geometry; the unit normal, the gradient's length, and the trial
-    reaction: lam_n along the gradient, lam_t (p, 3) N in the tangent plane; slip (p, 3) m, tangential since the start
-    of the step; slip_weight (p, s) the vertices' weights in slip and friction: those of the gap but where the potential
-    freezes them."""
+    reaction: lam_n along the gradient, lam_t (p, 3) N in the tangent plane; friction's bound (p,) N, mu lam_n but where
+    the potential freezes it; slip (p, 3) m, tangential since the start of the step; slip_weight (p, s) the vertices'
+    weights in slip and friction: those of the gap but where the potential freezes them."""
 
     index: int
     friction: float
@@ -41,6 +41,7 @@ class Pairs:
     gradient_norm: Reals
     lam_n: Reals
     lam_t: Reals
+    bound: Reals
     slip: Reals
     slip_weight: Reals
 
@@ -65,6 +66,18 @@ class Pairs:
     def stencil(self) -> Ints:
         """The vertices that the reactions act on: (p,) local ones on an obstacle, else (p, s) of all vertices."""
         return self.vertex if self.geometry.vertex.shape[1] == 1 else self.geometry.vertex
+
+    @property
+    def slips(self) -> Flags:
+        """(p,) whether the trial reaction is beyond friction's bound: at mu = 0 all that touches slips."""
+        found: Flags = (self.lam_n > 0.0) & (lengths(self.lam_t) > self.bound) | (self.friction == 0.0)
+        return found
+
+    def project(self) -> tuple[Reals, Reals]:
+        """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
+        size = lengths(self.lam_t)
+        share = np.where(size > self.bound, self.bound / np.maximum(size, 1e-300), 1.0)
+        return np.maximum(self.lam_n, 0.0), share[:, None] * self.lam_t
 
     def spread(self, normal: Reals, tangential: Reals, total: Reals) -> None:
         """Adds reactions, normal (p,) along the gradient and tangential (p, 3), to the vertices' forces (n, 3)."""

@@ -20,7 +20,7 @@ class AugmentedContact(Term):
         return {"contact": self.contact.energy(at.positions, at.time, self.softness)}
 
     def forces(self, at: Point) -> Reals:
-        return at.over_dofs(self.contact.force(at.positions, at.time, True, self.softness))
+        return at.over_dofs(self.contact.force(at.positions, at.time, self.softness))
 
     def blocks(self, at: Point, kind: str) -> Blocks:
         return self.contact.blocks(at.positions, at.time, kind == "safe", self.softness)

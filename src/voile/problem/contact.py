@@ -121,17 +121,15 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
     state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
     for pairs in contact.pairs(x, factor):
         active = pairs.lam_n > 0.0
-        kind = np.where(contact.slips(pairs), SLIP, STICK)
+        kind = np.where(pairs.slips, SLIP, STICK)
         state = np.maximum(state, -contact.least(pairs, active, -kind))
         friction = np.minimum(friction, contact.least(pairs, active, np.full(len(active), pairs.friction)))
-        normal, tangential = contact.project(pairs)
+        normal, tangential = pairs.project()
         share = margin(pairs.gradient_norm * normal, tangential, pairs.friction)
         left = np.minimum(left, contact.least(pairs, active, share))
         contact.collect(pairs, partial(pairs.spread, normal, 0.0 * tangential), along)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
-    return cone_fields(
-        contact.force(x, factor, frozen=False), np.min(gaps, axis=0), state, along, friction, left
-    )
+    return cone_fields(contact.reactions(x, factor), np.min(gaps, axis=0), state, along, friction, left)
 
 
 def cone_fields(
@@ -161,7 +159,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
     area = vertex_areas(problem)
     totals, touching = np.zeros((len(contact.obstacles), 8)), 0
     for pairs in contact.pairs(x, factor):
-        normal, friction = contact.project(pairs)
+        normal, friction = pairs.project()
         own = contact.counted(pairs) & (normal > 0.0)
         if pairs.index == len(contact.obstacles):
             touching = int(own.sum())
@@ -193,7 +191,7 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> d
     contact, found = contact_of(problem), np.zeros(4)
     for pairs in contact.pairs(problem.positions(y), problem.time):
         partner, index = contact.partners[pairs.index], pairs.index
-        normal, tangential = contact.project(pairs)
+        normal, tangential = pairs.project()
         _, moved = pairs.motion(partner.gather(way))
         force, carried = normal[:, None] * pairs.gradient, np.zeros_like(moved)
         if index < len(contact.obstacles):
@@ -226,7 +224,7 @@ def pushed_vertices(problem: Problem, x: Reals) -> Flags:
     """(local vertices,) marks those on which something bears at positions x (n, 3)."""
     if not problem.contact:
         return np.zeros(len(x), dtype=bool)
-    found: Flags = problem.contact.force(x, problem.time, frozen=False).any(axis=1)
+    found: Flags = problem.contact.reactions(x, problem.time).any(axis=1)
     return found
 
 

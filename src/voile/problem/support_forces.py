@@ -23,7 +23,7 @@ def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
     at, count = problem.point(y), problem.layout.vertices
     forces = problem.inner_forces(at)[:count]
     if problem.contact:
-        forces += problem.contact.force(at.positions, problem.time, frozen=False).ravel()
+        forces += problem.contact.reactions(at.positions, problem.time).ravel()
     found: Reals = -np.einsum("nij,nj->ni", problem.kept, forces.reshape(-1, 3))
     return found
 

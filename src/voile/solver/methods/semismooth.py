@@ -195,6 +195,6 @@ def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) ->
     """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N); tolerance: theirs (N)."""
     contact, x = contact_of(problem), problem.positions(y)
     with contact.measured(tolerance / (SHARP * problem.size())):
-        problem.residual(y, f, contact.force(x, problem.time, frozen=False))
+        problem.residual(y, f, contact.reactions(x, problem.time))
         mismatch = problem.comm.allreduce(contact.mismatch(x, problem.time))
     return f.norm(), float(np.sqrt(mismatch))

@@ -141,7 +141,7 @@ class Books:
         problem = step.forces.problem
         reactions = np.zeros_like(inertia)
         if problem.contact:
-            reactions = problem.contact.force(step.after.positions, problem.time, frozen=False)
+            reactions = problem.contact.reactions(step.after.positions, problem.time)
         dofs = np.concatenate([(inertia - reactions).ravel(), np.zeros(len(problem.part.edge))]) - forces
         residual, free = problem.create_vector(), field_vector(problem, way)
         residual.array[:] = problem.layout.collect(dofs)
