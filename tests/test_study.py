@@ -132,7 +132,7 @@ FRONT = f'{HEAD}measure = "tip"\nreference = {TIP}\n[vary]\nrefine = [0, 2, 4]\n
 
 
 def test_two_studies_find_the_same(study, tmp_path):
-    path = study(FRONT.replace("repeats = 1", 'repeats = 3\nclock = "cpu"').replace("2, 4]", "3, 4]"))
+    path = study(FRONT.replace("repeats = 1", 'repeats = 3\nclock = "cpu"'))
     one, other = (done(path, tmp_path / name) for name in ("one", "other"))
     assert table(tmp_path / "one", timeless=True) == table(tmp_path / "other", timeless=True)
     assert [r["run"] for r in one["pareto"]] == [r["run"] for r in other["pareto"]]
