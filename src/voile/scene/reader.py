@@ -12,6 +12,7 @@ from voile.keys import Rejected, Table
 from voile.keys.overrides import TOLD, apply, parts_of
 from voile.scene.library import expand
 from voile.scene.plain import plain, toml, toml_value
+from voile.scene.rules import check
 from voile.scene.schema import Scene, homes
 
 KeyPath = tuple[str | int, ...]
@@ -43,6 +44,7 @@ def read_scene(
     try:
         expand(tree)
         scene = Table(Scene).read(tree)
+        check(scene, set(tree))
     except Rejected as error:
         problem = error.problem
         if error.unknown and (tables := homes(str(error.path[-1]))):

@@ -1,6 +1,7 @@
 """Every key of a scene file: kind, unit, range, default and meaning. SI units throughout.
 
-Those of tasks are in tasks.py, those of an obstacle's shape in its class in contact/obstacles.py.
+Those of tasks are in tasks.py, those of an obstacle's shape in its class in contact/obstacles.py. What does not go
+together is in rules.py.
 
 A table of the file is a frozen dataclass; a key is a field, declared by `key(kind, meaning, default=...)`.
 """
@@ -10,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from voile.elastic import BENDING, MATERIALS, MODELS
-from voile.elastic.stresses import lacking
-from voile.elastic.weave import STIFFNESSES
 from voile.keys import (
     Boolean,
     Choice,
@@ -55,7 +54,6 @@ WEFT, SHEAR = "orthotropic: Young's modulus along the weft", "orthotropic: shear
 STRIPS = "orthotropic: bending stiffness per width of strips along the warp"
 TWIST = "orthotropic: twisting moment per length over twice the twist"
 WARP = "orthotropic: direction of the warp on the rest shape, or the texture coordinate along which it runs"
-MOST_STEPS = 1e9  # of a run in time: years of computing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,186 +184,6 @@ class Scene:
     output: Output = key(Table(Output), "results", default=Output())
     text: str = ""
     path: Path = Path()
-
-    def check(self, given: set[str]) -> None:
-        if self.scene.task == "inverse" and self.shell.rest == "flat" and not self.inverse.estimate:
-            raise Rejected(
-                '"flat" is not a first guess of a rest surface; allowed: a file, or inverse.developable = "panels" '
-                "without shell.rest",
-                ("shell", "rest"),
-            )
-        if self.scene.task == "inverse" and self.inverse.estimate and self.shell.rest is None:
-            self._check_estimate()
-        if self.scene.task == "inverse" and not self.inverse.estimate:
-            for table in ("fix", "obstacle"):
-                for index, each in enumerate(getattr(self, table)):
-                    if each.move:
-                        raise Rejected(
-                            "the target is where all motion has ended; allowed with task = inverse: no move",
-                            (table, index, "move"),
-                        )
-        for index, fix in enumerate(self.fix):
-            if fix.move and any(fix.move.rotation) and self.scene.task not in ("statics", "dynamics"):
-                raise Rejected("allowed with task = statics or dynamics", ("fix", index, "move", "rotation"))
-        if self.scene.task != "dynamics":
-            for name in ("wind", "drag", "history"):
-                value = getattr(self.loads, name)
-                if any(value) if isinstance(value, tuple) else value:
-                    raise Rejected("allowed with task = dynamics", ("loads", name))
-            for table in ("fix", "obstacle"):
-                for index, each in enumerate(getattr(self, table)):
-                    if each.move and each.move.in_time:
-                        raise Rejected(
-                            "allowed without task = dynamics: displacement, rotation, center",
-                            (table, index, "move"),
-                        )
-            for index, body in enumerate(self.obstacle):
-                if getattr(body, "frames", None):
-                    raise Rejected("allowed with task = dynamics", ("obstacle", index, "frames"))
-        if self.pattern != Pattern() and (self.scene.task != "inverse" or self.inverse.estimate):
-            raise Rejected("allowed with task = inverse, without inverse.estimate", ("pattern",))
-        if self.scene.task == "modes":
-            self._check_modes(given)
-        if self.statics.control == "arc-length":
-            self._check_arc_length()
-        rebounds = [index for index, body in enumerate(self.obstacle) if body.restitution]
-        if rebounds and (self.scene.task, self.dynamics.scheme) != ("dynamics", "moreau-jean"):
-            raise Rejected(
-                'allowed above 0 with task = dynamics and dynamics.scheme = "moreau-jean" only',
-                ("obstacle", rebounds[0], "restitution"),
-            )
-        if self.dynamics.duration > MOST_STEPS * self.dynamics.time_step:
-            raise Rejected(
-                f"allowed: at least {self.dynamics.duration / MOST_STEPS:g} s, a run has {MOST_STEPS:g} steps at most",
-                ("dynamics", "time_step"),
-            )
-        d = self.dynamics
-        centred = (d.scheme, d.theta) == ("moreau-jean", 0.5) or (
-            (d.scheme, d.spectral_radius) == ("generalized-alpha", 1.0)
-        )
-        early = d.scheme in ("moreau-jean", "generalized-alpha")
-        if not {"energy": True, "nothing": early, "angular-momentum": centred}[d.keeps]:
-            raise Rejected(
-                f'"{d.keeps}" fits scheme = "moreau-jean" or "generalized-alpha"'
-                + ", with theta = 0.5 or spectral_radius = 1" * (d.keeps != "nothing"),
-                ("dynamics", "keeps"),
-            )
-        local = self.scene.task == "dynamics" and self.dynamics.solver == "local-global"
-        if local and self.shell.model != "projective":
-            raise Rejected(
-                f'fits shell.model = "projective" only, which is "{self.shell.model}" here',
-                ("dynamics", "solver"),
-            )
-        self._check_fields()
-        self._check_woven()
-        self._check_springs()
-        groups = [fabric.group for fabric in self.fabric]
-        for index, group in enumerate(groups):
-            if group in groups[:index]:
-                raise Rejected(
-                    f'"{group}" has a [[fabric]] already; allowed: one per group', ("fabric", index, "group")
-                )
-
-    def _check_modes(self, given: set[str]) -> None:
-        if "inverse" in given:
-            raise Rejected('allowed with task = "inverse" only; task is "modes"', ("inverse",))
-        if self.loads.moment:
-            raise Rejected(
-                "has no potential, so the shell has no natural modes; allowed with task = modes: gravity, pressure, "
-                "force",
-                ("loads", "moment"),
-            )
-        contact = self.obstacle or self.contact.self_contact
-        if self.modes.buckling and contact:
-            where = ("obstacle",) if self.obstacle else ("contact", "self_contact")
-            raise Rejected("allowed with modes.buckling = true: no contact", where)
-        if contact and self.modes.about != 1.0:
-            raise Rejected(f"{self.modes.about:g}; allowed with contact: 1", ("modes", "load_factor"))
-
-    def _check_fields(self) -> None:
-        if self.section and self.scene.task not in ("statics", "dynamics"):
-            raise Rejected("allowed with task = statics or dynamics", ("section",))
-        if self.output.fields and self.scene.task not in ("statics", "dynamics"):
-            raise Rejected("allowed with task = statics or dynamics", ("output", "fields"))
-        for name, why in lacking(self.shell.model, self.shell.material).items():
-            if name in self.output.fields:
-                raise Rejected(f'"{name}": {why}', ("output", "fields"))
-
-    def _check_springs(self) -> None:
-        inverse = self.scene.task == "inverse"
-        if inverse and self.shell.shrink:
-            raise Rejected("allowed with task = inverse: 0", ("shell", "shrink"))
-        for index, fabric in enumerate(self.fabric if inverse else ()):
-            if fabric.shrink:
-                raise Rejected("allowed with task = inverse: 0", ("fabric", index, "shrink"))
-        if self.shell.joint_stiffness and (not self.shell.joints or self.shell.model == "membrane"):
-            allowed = "allowed above 0 with shell.joints = true and a model that bends"
-            raise Rejected(allowed, ("shell", "joint_stiffness"))
-        welds = [("shell", "joint_stiffness")] if self.shell.joint_stiffness else []
-        bars = [*((name,) for name in ("band", "tie") if getattr(self, name)), *welds]
-        given = [("spring",), *bars] if self.spring else bars
-        for index, fix in enumerate(self.fix):
-            if fix.frame and inverse:
-                raise Rejected("allowed without task = inverse", ("fix", index, "frame"))
-            if fix.frame and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
-                raise Rejected('allowed with dynamics.solver = "newton"', ("fix", index, "frame"))
-        if given and inverse:
-            raise Rejected("allowed with task = statics or dynamics, or modes", given[0])
-        if bars and self.scene.task == "modes" and self.modes.buckling:
-            raise Rejected("allowed with modes.buckling = false: loads pull on it", bars[0])
-        if given and self.scene.task == "dynamics" and self.dynamics.solver == "local-global":
-            raise Rejected('allowed with dynamics.solver = "newton"', given[0])
-
-    def _check_woven(self) -> None:
-        woven = self.shell.material == "orthotropic"
-        names = [name for name in self.inverse.estimate if name in STIFFNESSES]
-        if names and not woven:
-            raise Rejected(
-                f'"{names[0]}": allowed with shell.material = "orthotropic"', ("inverse", "estimate")
-            )
-        if woven and self.shell.model not in WOVEN_MODELS:
-            allowed = '"orthotropic" fits shell.model = "koiter" or "membrane"'
-            raise Rejected(f'{allowed}, not "{self.shell.model}"', ("shell", "material"))
-        for path, table in (("shell",), self.shell), *((("fabric", k), t) for k, t in enumerate(self.fabric)):
-            given = [name for name in WOVEN if getattr(table, name) not in (None, "")]
-            if given and not woven:
-                raise Rejected('allowed with shell.material = "orthotropic"', (*path, given[0]))
-
-    def _check_arc_length(self) -> None:
-        if self.scene.task != "statics":
-            raise Rejected('"arc-length" is allowed with task = "statics" only', ("statics", "control"))
-        moving = [index for index, fix in enumerate(self.fix) if fix.move]
-        if moving:
-            raise Rejected(
-                'allowed with statics.control = "arc-length": supports that do not move',
-                ("fix", moving[0], "move"),
-            )
-        if self.contact.self_contact:
-            raise Rejected('allowed with statics.control = "arc-length": false', ("contact", "self_contact"))
-        allowed = 'allowed with statics.control = "arc-length"'
-        for index, body in enumerate(self.obstacle):
-            if body.move:
-                raise Rejected(f"{allowed}: obstacles that do not move", ("obstacle", index, "move"))
-            if body.friction:
-                raise Rejected(f"{body.friction:g}; {allowed}: 0", ("obstacle", index, "friction"))
-
-    def _check_estimate(self) -> None:
-        if not self.inverse.also:
-            raise Rejected(
-                "needs shell.rest: with the rest shape unknown too, every value fits one observed shape; or further "
-                "observations, inverse.also",
-                ("inverse", "estimate"),
-            )
-        if "friction" in self.inverse.estimate or self.obstacle or self.inverse.observed:
-            raise Rejected(
-                "needs shell.rest; allowed without: parameters of the fabric, a mesh that is the observed shape, "
-                "no [[obstacle]]",
-                ("inverse", "estimate"),
-            )
-
-
-WOVEN = ("fabric", "young_weft", "shear", "bending_warp", "bending_weft", "bending_twist", "warp")
-WOVEN_MODELS = ("koiter", "membrane")
 
 
 def homes(name: str) -> list[str]:
