@@ -19,94 +19,66 @@ PATCH = 8000  # triangles that are enough to tell
 STIFFNESS_RATIO = 1e-12  # (thickness/size)^2 under which bending stiffness is lost in double precision
 
 
-def modelled(scene: Scene, model: Model) -> list[tuple[str, bool, str]]:
-    """(feature, kept or left out, reason) for every term and unknown the program knows."""
-    shell, spec = model.shell, scene.shell
-    row, directors = MODELS[spec.model], has_directors(shell.model)
-    bends = row.bends
-    inner = int((shell.topology.across >= 0).sum()) // 2
-    rows = [
-        (
-            "stretching",
-            True,
-            f"material {spec.material}" if row.material else "lengths and areas",
-        ),
-        (
-            "bending",
-            bends,
-            f"model {spec.model}, {inner} hinges" if bends else f"a {spec.model} has no bending stiffness",
-        ),
-        (
-            "director angles",
-            directors,
-            f"one unknown per edge for bending = {spec.bending!r}"
-            if directors
-            else (
-                "mid-edge normals are averages of the faces'"
-                if row.normals
-                else f"model {spec.model} has none"
-            ),
-        ),
-        (
-            "rest curvature",
-            bends and not shell.flat,
-            "the flat rest shape has none" if shell.flat else "from the rest shape",
-        ),
-        (
-            "seams",
-            len(shell.slave) > 0,
-            f"{len(shell.slave)} stitches eliminate {len(np.unique(shell.slave))} vertices; sewn edges "
-            + ("bend like the cloth" if shell.seam_bending else "turn freely")
-            if len(shell.slave)
-            else "no stitch records",
-        ),
-        (
-            "gravity",
-            bool(shell.gravity.any()),
-            f"{weight(shell):.4g} kg" if shell.gravity.any() else "loads.gravity is zero",
-        ),
-        (
-            "pressure",
-            shell.pressed,
-            "follows the surface" if shell.pressed else "loads.pressure is zero, and no [[loads.patch]]",
-        ),
-        (
-            "dead forces",
-            shell.force is not None,
-            "loads.force" if shell.force is not None else "no [[loads.force]]",
-        ),
-        (
-            "end moments",
-            shell.moment is not None,
-            "loads.moment" if shell.moment is not None else "no [[loads.moment]]",
-        ),
-        (
-            "springs",
-            shell.springs is not None or shell.bars is not None or shell.welds is not None,
-            f"[[spring]] at {0 if shell.springs is None else int(shell.springs.any(axis=1).sum())} vertices, "
-            f"{0 if shell.bars is None else len(shell.bars)} bars of [[band]] and [[tie]], "
-            f"{0 if shell.welds is None else len(shell.welds)} edges of shell.joint_stiffness"
-            if shell.springs is not None or shell.bars is not None or shell.welds is not None
-            else "no [[spring]], [[band]], [[tie]] or shell.joint_stiffness",
-        ),
-        (
-            "moving supports",
-            supports_move(shell),
-            "fix.move" if supports_move(shell) else "no support moves",
-        ),
+Row = tuple[str, bool, str]  # a term or unknown, whether it is kept or left out, the reason
+
+
+def modelled(scene: Scene, model: Model) -> list[Row]:
+    """Every term and unknown that the program knows."""
+    return [*_of_shell(scene, model.shell), *_of_loads(model.shell), *_of_contact(scene, model)]
+
+
+def _row(name: str, kept: bool, why: str, why_not: str) -> Row:
+    return name, kept, why if kept else why_not
+
+
+def _of_shell(scene: Scene, shell: Shell) -> list[Row]:
+    spec, row, directors = scene.shell, MODELS[scene.shell.model], has_directors(shell.model)
+    inner, slaves = int((shell.topology.across >= 0).sum()) // 2, len(np.unique(shell.slave))
+    turns = "bend like the cloth" if shell.seam_bending else "turn freely"
+    stretched = f"material {spec.material}" if row.material else "lengths and areas"
+    bent = f"model {spec.model}, {inner} hinges"
+    angles = f"one unknown per edge for bending = {spec.bending!r}"
+    none = "mid-edge normals are averages of the faces'" if row.normals else f"model {spec.model} has none"
+    curved = "the flat rest shape has none" if shell.flat else "from the rest shape"
+    sewn = f"{len(shell.slave)} stitches eliminate {slaves} vertices; sewn edges {turns}"
+    return [
+        ("stretching", True, stretched),
+        _row("bending", row.bends, bent, f"a {spec.model} has no bending stiffness"),
+        _row("director angles", directors, angles, none),
+        ("rest curvature", row.bends and not shell.flat, curved),
+        _row("seams", len(shell.slave) > 0, sewn, "no stitch records"),
+    ]
+
+
+def _of_loads(shell: Shell) -> list[Row]:
+    elastic = [rows is not None for rows in (shell.springs, shell.bars, shell.welds)]
+    held = 0 if shell.springs is None else int(shell.springs.any(axis=1).sum())
+    bars, welds = (0 if rows is None else len(rows) for rows in (shell.bars, shell.welds))
+    springs = f"[[spring]] at {held} vertices, {bars} bars of [[band]] and [[tie]]"
+    springs += f", {welds} edges of shell.joint_stiffness"
+    no_springs = "no [[spring]], [[band]], [[tie]] or shell.joint_stiffness"
+    no_pressure = "loads.pressure is zero, and no [[loads.patch]]"
+    return [
+        _row("gravity", bool(shell.gravity.any()), f"{weight(shell):.4g} kg", "loads.gravity is zero"),
+        _row("pressure", shell.pressed, "follows the surface", no_pressure),
+        _row("dead forces", shell.force is not None, "loads.force", "no [[loads.force]]"),
+        _row("end moments", shell.moment is not None, "loads.moment", "no [[loads.moment]]"),
+        _row("springs", any(elastic), springs, no_springs),
+        _row("moving supports", supports_move(shell), "fix.move", "no support moves"),
+    ]
+
+
+def _of_contact(scene: Scene, model: Model) -> list[Row]:
+    moves = scene.scene.task == "dynamics" or _vibrates(scene)
+    inertia = f"inertia of the vertices, {weight(model.shell):.4g} kg; directors follow at every instant"
+    still = f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only"
+    return [
         ("contact", bool(model.obstacles), _contact(model)),
         ("self-contact", scene.contact.self_contact, _self_contact(scene, model)),
         ("friction", any(mu > 0.0 for _, mu in _frictions(scene, model)), _friction(scene, model)),
         ("nested levels", *_nested(scene, model)),
-        (
-            "mass",
-            scene.scene.task == "dynamics" or _vibrates(scene),
-            f"inertia of the vertices, {weight(shell):.4g} kg; directors follow at every instant"
-            if scene.scene.task == "dynamics" or _vibrates(scene)
-            else f"task = {scene.scene.task!r}; the mass matrix is used to regularise and in eigenvalues only",
-        ),
+        _row("mass", moves, inertia, still),
     ]
-    return rows
 
 
 def _vibrates(scene: Scene) -> bool:

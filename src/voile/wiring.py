@@ -74,9 +74,23 @@ def build_model(scene: Scene) -> Model:
     topology = build_topology(surface.triangles)
     loops = surface_loops(surface, topology)
     holds, clamped = supports_of(scene, surface, topology, loops)
+    on = Attached(surface, topology, loops, str(scene.path))
+    shell, rest = _shell(scene, rest, on, holds, clamped)
+    bodies = build_obstacles(scene)
+    offset = scene.contact.offset
+    if offset is None:
+        offset = 0.5 * float(shell.thickness.max())
+    notes = [*surface.notes, *_checked(scene, shell, surface, bodies, offset)]
+    cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
+    notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
+    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds, sections_of(scene, surface, loops))
+
+
+def _shell(scene: Scene, rest: Rest, on: Attached, holds: list[Hold], clamped: Ints) -> tuple[Shell, Rest]:
+    """The shell, held and clamped along edges, with what is `on` its surface, and its rest shape, shrunk."""
+    spec, loads, surface = scene.shell, scene.loads, on.surface
     moves = moves_of(scene, holds)
     axes, fixed, motion = combined(holds, len(surface.points), f"{scene.path}: fix")
-    on = Attached(surface, topology, loops, str(scene.path))
     thickness, young, poisson, density = (_fabric(scene, surface, name) for name in FABRIC)
     shrink = _fabric(scene, surface, "shrink")
     weave = _weave(scene, surface, rest, thickness, young, poisson)
@@ -98,50 +112,51 @@ def build_model(scene: Scene) -> Model:
         motion=motion,
         moves=moves,
         clamped_edges=clamped,
-        gravity=np.array(scene.loads.gravity, dtype=float),
-        pressure=float(scene.loads.pressure),
-        patch_pressure=on.patches(scene.loads.patch),
-        force=on.total("loads.force", [(force, np.array(force.value)) for force in scene.loads.force]),
-        moment=_moments(scene, surface, topology, loops),
-        topology=topology,
+        gravity=np.array(loads.gravity, dtype=float),
+        pressure=float(loads.pressure),
+        patch_pressure=on.patches(loads.patch),
+        force=on.total("loads.force", [(force, np.array(force.value)) for force in loads.force]),
+        moment=_moments(scene, surface, on.topology, list(on.loops)),
+        topology=on.topology,
         seam_bending=spec.seam_bending,
         load_laws=_load_laws(scene),
         springs=on.springs(scene.spring),
         bars=on.bars(scene.band, scene.tie),
-        welds=welds(surface, topology, spec.joint_stiffness, _plate(thickness, young, poisson, weave)),
+        welds=welds(surface, on.topology, spec.joint_stiffness, _plate(thickness, young, poisson, weave)),
         extra_mass=on.total("mass", [(mass, mass.value) for mass in scene.mass]),
         weave=weave,
         **_seams(surface),
     )
-    bodies = build_obstacles(scene)
-    offset = scene.contact.offset
-    if offset is None:
-        offset = 0.5 * float(shell.thickness.max())
-    notes = list(surface.notes)
-    size = diagonal(shell.points)
-    if scene.inverse.developable and fixed.all():
+    return shell, rest
+
+
+def _checked(
+    scene: Scene, shell: Shell, surface: Surface, bodies: list[Obstacle], offset: float
+) -> list[str]:
+    """What a user should know of a shell and its obstacles. Raises InputError for what cannot be computed."""
+    task, inverse, size = scene.scene.task, scene.inverse, diagonal(shell.points)
+    notes: list[str] = []
+    if inverse.developable and shell.fixed.all():
         raise InputError(
             f"{scene.path}: fix holds every vertex; allowed with inverse.developable: some that are free"
         )
     _check_unknowns(shell, f"{scene.path}: fix")
     check_names(scene, surface.group_names, size)
-    if scene.scene.task == "inverse" and not scene.inverse.estimate:
-        notes += _gaping(shell, size, spec.mesh)
+    if task == "inverse" and not inverse.estimate:
+        notes += _gaping(shell, size, scene.shell.mesh)
     if bodies:
         deepest = DEEPEST * size
-        if scene.scene.task == "inverse":
-            deepest = max(SUNK * size, SUNK_TOLERANCES * scene.inverse.contact_tolerance)
-            notes += _sunk(bodies, shell, offset, scene.inverse.contact_tolerance)
+        if task == "inverse":
+            deepest = max(SUNK * size, SUNK_TOLERANCES * inverse.contact_tolerance)
+            notes += _sunk(bodies, shell, offset, inverse.contact_tolerance)
         check_depth(bodies, shell, offset, f"{scene.path}: obstacle", deepest)
-    if scene.scene.task == "modes":
+    if task == "modes":
         _check_modes(scene, shell, bodies)
-    elif scene.scene.task != "dynamics":
+    elif task != "dynamics":
         carried = bodies or (scene.contact.self_contact and holds_a_piece(shell))
         if not (carried and _pressed(shell, bodies)):
             check_supports(shell)
-    cuts = inner_lines(surface, topology, scene.inverse.seams, f"{scene.path}: inverse.seams")
-    notes += [f"obstacle {body.name}: {body.blurred}" for body in bodies if body.blurred]
-    return Model(shell, surface, rest, notes, bodies, offset, cuts, holds, sections_of(scene, surface, loops))
+    return notes
 
 
 def _load_laws(scene: Scene) -> dict[str, Load]:

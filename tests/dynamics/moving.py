@@ -11,9 +11,10 @@ from voile.problem.load import History
 from voile.problem.loads import LOADS
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
+from voile.solver.path_in_time import TimeOptions, TimePath, TimeStep
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, TimePath, TimeStep, start_path
+from voile.solver.stepping.time_path import Stepper, start_path
 
 STEADY = dict.fromkeys(LOADS, History())
 

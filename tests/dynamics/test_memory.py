@@ -13,9 +13,10 @@ from voile.contact.obstacles import Plane
 from voile.problem.contact import with_obstacles
 from voile.problem.problem import Problem
 from voile.results.history import HistoryWriter, read_history
+from voile.solver.path_in_time import TimeOptions
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import ImplicitEuler
-from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
+from voile.solver.stepping.time_path import Stepper, start_path
 from voile.tasks.in_time import row
 
 

@@ -14,9 +14,10 @@ from test_problem import sheet
 from voile.contact.obstacles import Plane
 from voile.problem.contact import shell_layers, with_obstacles
 from voile.problem.problem import Problem
+from voile.solver.path_in_time import TimeOptions
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, TimeOptions, start_path
+from voile.solver.stepping.time_path import Stepper, start_path
 
 UP = np.array([0.0, 0.0, 1.0])
 

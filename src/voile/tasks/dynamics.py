@@ -5,10 +5,11 @@ from voile.problem.problem import Problem
 from voile.scene.tasks import Dynamics
 from voile.solver.methods.local_global import LocalGlobal
 from voile.solver.methods.local_global import Options as LocalGlobalOptions
+from voile.solver.path_in_time import TimeOptions
 from voile.solver.stepping.blame import depth_inside
 from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
-from voile.solver.stepping.time_path import Stepper, StepSolver, TimeOptions, let_out
+from voile.solver.stepping.time_path import Stepper, StepSolver, let_out
 from voile.tasks.in_time import TimeSteps, air, begun, figures
 from voile.tasks.run import Run
 

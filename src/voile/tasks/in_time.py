@@ -11,8 +11,9 @@ from voile.problem.damping import Air
 from voile.problem.problem import Problem
 from voile.results import ResultWriter
 from voile.results.history import HistoryWriter, read_history
+from voile.solver.path_in_time import TimePath, TimeStep
 from voile.solver.stepping.restart import packed, unpacked
-from voile.solver.stepping.time_path import TimePath, TimeStep, start_path
+from voile.solver.stepping.time_path import start_path
 from voile.tasks.run import NO_CONTACT, Run, rows
 
 MISSED = 2.0  # tolerances: laws measured anew at a step's end miss up to 1.4 times what a method saw

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from voile.inverse.direct import DirectStep
     from voile.inverse.nearest_path import NearestStep
     from voile.solver.path import LoadStep
-    from voile.solver.stepping.time_path import TimeStep
+    from voile.solver.path_in_time import TimeStep
 
 
 class Progress:

@@ -38,8 +38,8 @@ from voile.results.restart import Restarts
 from voile.scene import Scene
 from voile.solver.path import Arrays, LoadStep
 from voile.solver.path import Path as LoadPath
+from voile.solver.path_in_time import TimePath
 from voile.solver.sewing import sew
-from voile.solver.stepping.time_path import TimePath
 from voile.tasks.progress import Progress
 from voile.wiring import Model, static_mesh
 

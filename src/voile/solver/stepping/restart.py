@@ -11,9 +11,9 @@ from voile.contact.history import PER_PARTNER, History
 from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.solver.path import Arrays, Jump, LoadStep, Path
+from voile.solver.path_in_time import TimePath
 from voile.solver.stepping.books import TOTALS, Books
 from voile.solver.stepping.schemes import Before, Kinematics
-from voile.solver.stepping.time_path import TimePath
 
 FIELDS = ("positions", "velocity", "acceleration", "filtered")
 COUNTS = ("factorisations", "solves", "iterations")

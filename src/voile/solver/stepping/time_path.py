@@ -4,8 +4,7 @@ Each step is the problem at its end with an Inertia term. `Problem.contact` reme
 slip is that of the step, relative to the obstacle.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +13,6 @@ from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
 from voile.problem.contact import contact_of, contact_report, pushed_vertices
-from voile.problem.damping import Air, Damping
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, mean_mass, slow_rate
@@ -22,6 +20,7 @@ from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import law_norms
+from voile.solver.path_in_time import OnStep, TimeOptions, TimePath, TimeStep
 from voile.solver.stepping.blame import crushed
 from voile.solver.stepping.books import Books, Ended
 from voile.solver.stepping.creation import Creation
@@ -51,24 +50,6 @@ class Options:
     closes: float = 5e-9
 
 
-@dataclass
-class TimeOptions:
-    """scheme; time_step and duration (s); tolerance: of each step's residual over the loads; air: that drags on the
-    shell; damping: Rayleigh's; accuracy: local error of a step in sizes of the shell, 0: all steps are as long as
-    time_step; stop_at_rest (m/s): ends the path once nothing is faster, 0: never; advice: what helps where energy comes
-    from nowhere."""
-
-    scheme: Scheme
-    time_step: float
-    duration: float
-    tolerance: float = 1e-6
-    air: Air | None = None
-    damping: Damping = Damping()
-    accuracy: float = 0.0
-    stop_at_rest: float = 0.0
-    advice: str = "shorter steps"
-
-
 class StepSolver(Protocol):
     """Solves steps: a method whose problem has an Inertia term and, with contact, the step's start in the contact's
     history. y starts at a guess and ends at the step's end."""
@@ -85,63 +66,6 @@ class StepSolver(Protocol):
     def sharpen(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> None:
         """Improves a solution y at the cost of an iteration."""
         ...
-
-
-@dataclass
-class TimeStep:
-    """One step: its end `time` and length (s), iterations, norms of forces out of balance and of what contact's laws
-    miss (N), the tolerance of both together (N), potential energies (J), contact's figures, method, and the largest
-    speed (m/s) of a vertex at its end."""
-
-    time: float
-    length: float
-    iterations: int
-    balance_residual: float
-    law_residual: float
-    tolerance: float
-    energies: dict[str, float]
-    contact: dict[str, Any] | None
-    method: str
-    speed: float
-
-    @property
-    def residual(self) -> float:
-        """Of balance and laws together (N)."""
-        return float(np.hypot(self.balance_residual, self.law_residual))
-
-
-@dataclass
-class TimePath:
-    """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False. For
-    the next step: its length (s), the largest force without loads so far (N), which vertices (n,) something pushed."""
-
-    state: PETSc.Vec
-    kinematics: Kinematics
-    books: Books
-    time: float = 0.0
-    converged: bool = False
-    reason: str = ""
-    last: TimeStep | None = None
-    methods: list[str] = field(default_factory=list)
-    counts: Counts = field(default_factory=Counts)
-    attempts: int = 0
-    length: float = 0.0
-    largest: float = 0.0
-    pushed: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def count(self) -> int:
-        """Steps done."""
-        return len(self.methods)
-
-    @property
-    def newton_iterations(self) -> int:
-        """Those of all methods, failed attempts included."""
-        return self.counts.iterations
-
-
-OnStep = Callable[[TimeStep, TimePath], None]
 
 
 def start_path(problem: Problem, velocity: Reals) -> TimePath:
