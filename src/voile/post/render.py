@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 FEATURE_ANGLE = np.radians(55.0)  # a closed start shape is outlined by the edges sharper than this
 GHOST = 0.02  # a displacement of this fraction of the size makes the start shape worth a light surface
+BAR_TITLE = 16  # letters that fit beside the shape
 INK, LINE = "#1b1f24", "#5b6570"
 SEQUENTIAL, DIVERGING = "YlGnBu", "RdBu_r"  # pale where little happens, so that folds show
 
@@ -169,9 +171,9 @@ def draw_shape(
     shape = shape.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
     limits, scale_name = colours
     unit = f" [{shown.unit}]" if shown.unit else ""
-    name = shown.name.replace("_", " ")
+    title = textwrap.fill(shown.name.replace("_", " ") + unit, BAR_TITLE)
     bar: dict[str, Any] = {
-        "title": f"{name}{unit}\n", "vertical": True, "position_x": 0.875, "position_y": 0.2, "width": 0.055,
+        "title": f"{title}\n", "vertical": True, "position_x": 0.875, "position_y": 0.2, "width": 0.055,
         "height": 0.55, "n_labels": 5, "fmt": "  %.3g", "color": INK, "font_family": "arial",
         "title_font_size": int(30 * scale), "label_font_size": int(26 * scale),
     }  # fmt: skip
