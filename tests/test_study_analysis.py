@@ -1,5 +1,8 @@
 """What a study makes of its runs' numbers: limits, rates, chance hits, the front. No run is needed."""
 
+from itertools import combinations
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from test_study import POINT, SCENE
@@ -157,3 +160,24 @@ def test_means_agree_between_meshes(tmp_path):
         ):
             weight = mean_weights(surface, np.flatnonzero(chosen))
             assert weight @ x / weight.sum() == pytest.approx(mean, abs=1e-12)
+
+
+def test_labels_of_neighbours_on_the_front_do_not_overlap():
+    """Two points that lie together, low and at the right, among others."""
+    import matplotlib.pyplot as plt
+
+    from voile.study import picture
+
+    rows = [
+        SimpleNamespace(seconds=s, error=e, counted=e, run=SimpleNamespace(effective={"shell.refine": k}))
+        for k, (s, e) in enumerate([(0.5, 0.1), (4.0, 1.1e-4), (4.2, 1.09e-4), (4.3, 0.02)])
+    ]
+    found = SimpleNamespace(rows=rows, front=rows[:3], varied=["shell.refine"])
+    figure, axes = plt.subplots(layout="constrained")
+    axes.set(xscale="log", yscale="log", xlim=(0.4, 5.0), ylim=(1e-4, 1.0))
+    picture._name_front(axes, found)
+    boxes = [text.get_window_extent() for text in axes.texts]
+    plt.close(figure)
+    assert len(boxes) == 3
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert all(axes.bbox.contains(*corner) for box in boxes for corner in box.corners())

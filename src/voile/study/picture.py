@@ -1,10 +1,12 @@
 """study.png: error against seconds, the Pareto front marked."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from voile.arrays import Reals
 from voile.files import replacing
 from voile.study.analysis import Findings, Row
 from voile.study.series import ENDS, SIZED
@@ -15,6 +17,9 @@ COLOURS = ("#2b6ca3", "#e58a3c", "#3d8f5f", "#8c1c2e", "#7a5ea8", "#5b6570", "#c
 MARKS = "osD^vP*X"
 ORDERED = (*SIZED, *ENDS)
 CHANCE = 2.0  # times an error: what better resolved runs have, where it was small by chance
+# Where a label may be beside its point: to the right (1), above (1), and so on; first what looks best.
+PLACES = ((1, 1), (-1, -1), (-1, 1), (1, -1), (0, 1.2), (0, -1.2), (1.6, 0), (-1.6, 0), (0, 2.2), (0, -2.2))
+ALONG = 20  # points of each piece of the front that labels keep off
 LEAST = 1e-12  # an error drawn: nothing here is known to more
 
 
@@ -40,6 +45,7 @@ def draw(findings: Findings, path: Path) -> None:
             )
         _draw_front(axes, findings)
         _dress(axes, findings, len(kinds))
+        _name_front(axes, findings)
         with replacing(path) as file:
             figure.savefig(file, dpi=150, format="png")
     finally:
@@ -83,20 +89,49 @@ def _draw_front(axes: Any, findings: Findings) -> None:
     axes.scatter(
         *zip(*front, strict=True), s=110, facecolors="none", edgecolors=INK, linewidths=1.2, zorder=4
     )
-    middle = np.sqrt(np.prod(axes.get_xlim()))  # labels right of it end at their points, not in the legend
+
+
+def _name_front(axes: Any, findings: Findings) -> None:
+    """What the points of the front are, each beside its point where it covers the least: other labels, the points, the
+    front's line, the axes' border."""
+    front = [(row.seconds, _height(row.counted)) for row in findings.front]
+    if not front:
+        return
+    axes.figure.draw_without_rendering()  # where things are
+    rows = [(r.seconds, _height(r.counted)) for rows in _kinds(findings).values() for r in rows]
+    share = np.linspace(0.0, 1.0, ALONG)[:, None]
+    x = axes.transData.transform(front)
+    line = [a + share * (b - a) for a, b in itertools.pairwise(x)]
+    taken, labels = np.concatenate([axes.transData.transform(rows), *line]), list[Any]()
     said = ""
-    for row, (seconds, error) in zip(findings.front, front, strict=True):
+    for row, point in zip(findings.front, front, strict=True):
         words = ", ".join(_short(n, row.run.effective[n]) for n in findings.varied if n in ORDERED)
         words, said = "" if words == said else words, words
-        axes.annotate(
-            words,
-            (seconds, error),
-            xytext=(7, 5) if seconds < middle else (-7, -13),
-            textcoords="offset points",
-            ha="left" if seconds < middle else "right",
-            fontsize=8,
-            color=INK,
-        )
+        tried = [
+            axes.annotate(
+                words,
+                point,
+                xytext=(8 * right, 13 * up - 4),
+                textcoords="offset points",
+                ha=("center", "left", "right")[int(np.sign(right))],
+                fontsize=8,
+                color=INK,
+            )
+            for right, up in PLACES
+        ]
+        covers = [_covers(text.get_window_extent(), axes.bbox, labels, taken) for text in tried]
+        best = tried[int(np.argmin(covers))]
+        for text in tried:
+            if text is not best:
+                text.remove()
+        labels.append(best.get_window_extent())
+
+
+def _covers(box: Any, axes: Any, labels: list[Any], points: Reals) -> float:
+    """How bad a place of a label is; boxes and points (k, 2) in pixels."""
+    outside = not (axes.x0 <= box.x0 and box.x1 <= axes.x1 and axes.y0 <= box.y0 and box.y1 <= axes.y1)
+    hidden = ((points > (box.x0, box.y0)) & (points < (box.x1, box.y1))).all(axis=1).sum()
+    return float(len(points) * (outside + sum(box.overlaps(other) for other in labels)) + hidden)
 
 
 def _short(name: str, value: Any) -> str:
