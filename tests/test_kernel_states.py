@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.sparse.linalg
-from kernel_shell import Shell, each_model, irregular_mesh
+from kernel_shell import Shell, each_model, irregular_mesh, rates
 
 from voile.elastic import BENDING, MATERIALS
 from voile.mesh.topology import build_topology
@@ -66,6 +66,25 @@ def test_tension_field_slack_and_wrinkled():
     assert shell.energy(wrinkled) == pytest.approx(area * h * young * strain**2 / 2, rel=1e-12)
     width = rest * [0.0, 1.0, 0.0]
     assert abs(shell.gradient(wrinkled) @ width.ravel()) < 1e-13 * young * h  # no stress across the wrinkles
+
+
+@pytest.mark.parametrize("model", ["membrane", "koiter"])
+def test_a_slack_triangle_does_not_vanish(model):
+    """Energy, without bound as the area goes to zero, and Taylor rates at a shape of a hundredth of it."""
+    rest, triangles = irregular_mesh(7)
+    rest[:, 2] = 0.0
+    shell = Shell((model, "tan", "tension-field"), rest, triangles, 1e-3, 1.0, 0.3)
+    flat = np.zeros(shell.size - rest.size)
+    energies = [shell.energy(np.concatenate([(s * rest).ravel(), flat])) for s in (0.33, 0.3, 1e-1, 3e-2)]
+    area = np.linalg.det((rest[triangles[:, 1:]] - rest[triangles[:, :1]])[:, :, :2]).sum() / 2
+    missing = np.log(np.array([0.09, 1e-2, 9e-4]) / 0.1)
+    assert energies[0] == 0.0
+    assert energies[1:] == pytest.approx(1e-5 * 1e-3 * area * missing**2, rel=1e-9, abs=0.0)
+    z = np.concatenate([(0.1 * rest).ravel(), flat])
+    d = 0.01 * np.random.default_rng(1).normal(size=shell.size)
+    energy, slope, change = shell.energy(z), shell.gradient(z) @ d, shell.hessian(z) @ d
+    assert min(rates(lambda s: shell.energy(z + s * d) - energy - s * slope, 1e-2)) > 1.9
+    assert min(rates(lambda s: shell.gradient(z + s * d) - shell.gradient(z) - s * change, 1e-2)) > 1.9
 
 
 def saddle_curvature(s, t):

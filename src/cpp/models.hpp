@@ -240,8 +240,10 @@ struct NeoHookean {
 
 // Relaxed St. Venant-Kirchhoff (tension field: Pipkin 1986, Steigmann 1990): with principal Green strains
 // e1 >= e2, taut where e2 >= -nu e1 (both stresses tensile), wrinkled (uniaxial, E h e1^2/2) where only e1 >
-// 0, slack (zero) where e1 <= 0.
+// 0, slack (zero) where e1 <= 0. Areas J under `least` cost E h `hold` ln(J/least)^2: hinges beside a
+// triangle without a height would turn about any axis (docs/kernels.md).
 struct TensionField {
+  static constexpr double least = 0.1, hold = 1e-5;
   template <class T>
   static T stretching(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Fabric<T>& f) {
     T trace = inverse.a * da.a + 2.0 * (inverse.b * da.b) + inverse.c * da.c;  // 2 (e1 + e2)
@@ -254,7 +256,11 @@ struct TensionField {
     T wrinkled = 0.5 * (f.thickness * f.young * e1 * e1);
     T margin1 = e1 + f.poisson * e2, margin2 = e2 + f.poisson * e1;
     T some = select(value(e1).p > 0.0, wrinkled, T(0.0));
-    return select((value(margin2).p >= 0.0) & (value(margin1).p >= 0.0), taut, some);
+    T field = select((value(margin2).p >= 0.0) & (value(margin1).p >= 0.0), taut, some);
+    T growth = trace + det;  // J^2 - 1
+    auto vanishes = value(growth).p < least * least - 1.0;
+    T missing = 0.5 * log1p(select(vanishes, growth, T(0.0))) - std::log(least);
+    return field + select(vanishes, hold * (f.thickness * f.young * missing * missing), T(0.0));
   }
   template <class T>
   static T bending(const Sym2<T>& a, const Sym2<T>& da, const Sym2<T>& inverse, const Sym2<T>& b_rest,

@@ -21,17 +21,21 @@ HEIGHT = 0.217
 MESHES = (8, 16, 32)
 
 
-def airbag(n: int, model: str, material: str, diagonals: str = "crossed") -> tuple[Shell, int]:
+def airbag(
+    n: int, model: str, material: str, diagonals: str = "crossed", pressure: float = 5e3
+) -> tuple[Shell, int]:
     """A quarter of n x n cells on its planes of symmetry, its outer edges free to slide in the plane z = 0; centre."""
     case = cases.airbag(n, diagonals)
     if model != "koiter":
         case.clamped = []
-    return of_case(case, model=model, material=material, pressure=5e3), case.marks["centre"]
+    return of_case(case, model=model, material=material, pressure=pressure), case.marks["centre"]
 
 
-def inflate(n: int, model: str, material: str, diagonals: str = "crossed") -> tuple[float, float, Path]:
+def inflate(
+    n: int, model: str, material: str, diagonals: str = "crossed", pressure: float = 5e3
+) -> tuple[float, float, Path]:
     """Height of the centre (m), potential (J) and the path, with every setting at its default; raises NotConverged."""
-    shell, centre = airbag(n, model, material, diagonals)
+    shell, centre = airbag(n, model, material, diagonals, pressure)
     problem = Problem(shell, MPI.COMM_SELF)
     path = require(solve_statics(problem))
     height = problem.positions(path.state)[np.flatnonzero(problem.part.vertex == centre)[0], 2]
