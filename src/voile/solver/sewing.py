@@ -58,9 +58,8 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
     problem = Problem(loose, comm)
     problem.elastic.passes = True  # panels that are drawn together lie through each other at first
     descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))
-    descent.settled = _settled
     y = problem.create_vector()
-    descent.run(problem, y, 0.0, MOST_STEPS)
+    descent.run(problem, y, 0.0, MOST_STEPS, settled=_settled)
     u, _ = problem.local(y)
     own = problem.part.owned_vertices
     pieces = comm.gather((problem.part.vertex[own], u.reshape(-1, 3)[own]))

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
-from voile.problem.contact import contact_of, leads_through
+from voile.problem.contact import contact_of
 from voile.problem.imperfection import perturb
 from voile.problem.problem import Problem
 from voile.solver.cascade import attempt
+from voile.solver.methods.astray import Astray
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome
 from voile.solver.methods.semismooth import Semismooth, law_norms
@@ -24,9 +25,8 @@ class Options:
     softest: contact's stiffness in the first descent over the shell's, so that its front moves over many vertices at
     once; hardening: its factor per update. Seven sheets whose supports move took 13,700 factorisations from 1e-4,
     8,000 from 1e-2, more from 1; others as many. iterations of a descent. astray: sizes of the shell, a depth in an
-    obstacle on the straight way, looked at every so many iterations: of 15 everyday scenes all and only those came so
-    deep that pseudo-time had to solve again.
-    """
+    obstacle on the straight way: of 15 everyday scenes all and only those came so deep that pseudo-time had to solve
+    again."""
 
     updates: int = 15
     roughest: float = 1e6
@@ -34,22 +34,6 @@ class Options:
     hardening: float = 100.0
     iterations: int = 300
     astray: float = 0.02
-    looks: int = 4
-
-
-class Astray:
-    """Tells whether a descent has led the shell through an obstacle, on the straight way since the start of the load
-    step: soft contact lets it through, or it went around."""
-
-    def __init__(self, problem: Problem, options: Options):
-        self.problem, self.options, self.calls = problem, options, 0
-
-    def __call__(self, y: PETSc.Vec) -> bool:
-        self.calls += 1
-        if self.calls % self.options.looks:
-            return False
-        problem, began = self.problem, contact_of(self.problem).history
-        return leads_through(problem, began.reference, began.time, problem.positions(y), self.options.astray)
 
 
 class AugmentedLagrangian:
@@ -78,7 +62,7 @@ class AugmentedLagrangian:
             perturb(problem, y, self.perturbation)
         for _ in range(options.updates):
             held = problem.with_terms(potential)
-            astray = Astray(held, options) if problem.held else None
+            astray = Astray(held, options.astray) if problem.held else None
             done = self.descent.run(held, y, max(tolerance, rough), options.iterations, astray)
             if not done and not to_round_off(held, y, self.descent.nonlinear.norm, max(tolerance, rough)):
                 return self.descent.nonlinear.missed(self.name, y)

@@ -26,6 +26,8 @@ from voile.solver.methods.method import Nonlinear, Outcome, Workspace
 from voile.solver.methods.steps import Stall, Step, descent_direction, factor, limit, test
 
 _REASON = PETSc.SNES.ConvergedReason
+Hopeless = Callable[[PETSc.Vec], bool]
+Settled = Callable[[list[Step]], bool]
 
 
 @dataclass
@@ -78,8 +80,8 @@ class Descent:
         self.work, self.options = work, options or Options()
         self.iteration = Iterate(self)
         self.nonlinear = Nonlinear(work, prefix, self.iteration)
-        self.settled: Callable[[list[Step]], bool] | None = None  # another test of convergence
-        self.hopeless: Callable[[PETSc.Vec], bool] | None = None  # and one of divergence
+        self.settled: Settled | None = None  # of the present run
+        self.hopeless: Hopeless | None = None
         self.stalled = False
         self.negative: int | None = None
 
@@ -100,11 +102,12 @@ class Descent:
         y: PETSc.Vec,
         tolerance: float,
         most: int | None = None,
-        hopeless: Callable[[PETSc.Vec], bool] | None = None,
+        hopeless: Hopeless | None = None,
+        settled: Settled | None = None,
     ) -> bool:
         """Whether the residual's norm came under the tolerance (N) within `most` iterations and before an iterate was
-        `hopeless`; y ends where they end."""
-        self.stalled, self.negative, self.hopeless = False, None, hopeless
+        `hopeless`; y ends where they end. settled: another test of convergence, by the steps so far."""
+        self.stalled, self.negative, self.hopeless, self.settled = False, None, hopeless, settled
         return self.nonlinear.run(problem, y, tolerance, most or self.options.iterations)
 
 

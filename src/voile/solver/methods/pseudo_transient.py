@@ -21,8 +21,7 @@ from voile.problem.scales import round_off, slow_rate
 from voile.problem.state import State, difference
 from voile.solver.balance import slides
 from voile.solver.cascade import attempt
-from voile.solver.methods.augmented_lagrangian import Astray
-from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
+from voile.solver.methods.astray import Astray
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import Outcome, Workspace
 from voile.solver.methods.semismooth import Semismooth
@@ -263,7 +262,7 @@ class WatchedTransient(PseudoTransient):
         return not leads_through(problem, was, now, problem.positions(y), self.options.astray)
 
     def _astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
-        return Astray(problem, LagrangianOptions(astray=self.options.astray))
+        return Astray(problem, self.options.astray)
 
 
 def _share(problem: Problem, y: PETSc.Vec) -> float:
