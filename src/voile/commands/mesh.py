@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _mended(args: argparse.Namespace, raw: "RawMesh") -> tuple["RawMesh", dict[str, Any]]:
-    from voile.mesh.repair import WELD, RepairOptions, repair, size_of
+    from voile.mesh.mending import size_of
+    from voile.mesh.repair import WELD, RepairOptions, repair
 
     weld = WELD if args.weld is None else args.weld
     options = RepairOptions(
