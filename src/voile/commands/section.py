@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 
 from voile.errors import InputError, printable
-from voile.keys.overrides import parts_of
 
 TEXT = "force and moment across a cut of a stored result"
 PARTS = ("force", "moment", "about")
@@ -32,6 +31,7 @@ def run(args: argparse.Namespace) -> None:
     """Prints the forces and moments, a line per step and cut, or writes them."""
     from voile import api
     from voile.files import replace
+    from voile.keys.overrides import parts_of
     from voile.post.info import exerted
 
     keys = dict(parts_of(key) for key in args.key)
