@@ -19,6 +19,7 @@ from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import Target
+from voile.inverse.verify import settles_within
 from voile.problem.problem import Problem
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
@@ -184,6 +185,12 @@ def test_an_answer_is_nearer_than_the_target_as_its_own_rest_shape():
     result = solve(sheet)
     assert result.converged and not result.exact
     assert result.simulation.sag < sag and result.disturbed.sag < sag
+    sag = problem.largest_motion(plain.state)  # in sizes
+    assert result.simulation.sag < sag and result.disturbed.sag < sag
+    target = Target(problem, sheet, [], 0.0, 1e-3)
+    assert settles_within(target, problem.create_vector(), 1e-8, 1.001 * sag)
+    for limit in (0.999 * sag, 0.2 * sag):  # ends beyond it; is given up
+        assert not settles_within(target, problem.create_vector(), 1e-8, limit)
 
 
 @pytest.mark.slow

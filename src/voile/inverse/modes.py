@@ -19,7 +19,9 @@ MODES = 12  # at most
 GUARD = 3  # more in the block: they speed up the last ones
 POWERS = 2  # solves in a sweep
 SWEEPS = 12
-SETTLED = 1e-5  # change of an eigenvalue in a sweep over the range wanted: modes are then right to 1e-3
+SETTLED = (
+    1e-5  # change of an eigenvalue by the last solve over the range wanted: modes are then right to 1e-3
+)
 DEPENDENT = 1e-12  # squared length of a unit column, that is left of it beside others
 
 
@@ -40,9 +42,9 @@ class Modes:
         if not self.factor.set(tangent):
             return nothing
         below = self.factor.negative() or 0
-        values, width = np.full(self.block.shape[1], np.inf), self.block.shape[1]
+        width = self.block.shape[1]
         for _ in range(SWEEPS):
-            before, (values, block) = values, self._sweep(tangent)
+            before, values, block = self._sweep(tangent)
             if not np.isfinite(block).all() or block.shape[1] < width:
                 return nothing
             self.block = block
@@ -52,19 +54,22 @@ class Modes:
                 break
         return values[: self.most] + margin, self.block[:, : self.most], below
 
-    def _sweep(self, shifted: PETSc.Mat) -> tuple[Reals, Reals]:
-        """Ritz values above the margin and their vectors, in the space of the block and its solves."""
+    def _sweep(self, shifted: PETSc.Mat) -> tuple[Reals, Reals, Reals]:
+        """Ritz values above the margin without the last solve, with it, and their vectors, in the space of the block
+        and its solves."""
         comm, weight = self.problem.comm, self.mass.array_r[:, None]
-        space, last = np.zeros((len(self.block), 0)), self.block
+        space, last, first = np.zeros((len(self.block), 0)), self.block, 0
         for power in range(POWERS + 1):
             if power:
+                first = space.shape[1]
                 last = self.factor.solve(weight * last)
             last = self._beside(space, last)
             space = np.concatenate([space, last], axis=1)
         projected = products(space, times(shifted, space), comm)
-        values, q = np.linalg.eigh(0.5 * (projected + projected.T))
+        projected = 0.5 * (projected + projected.T)
+        values, q = np.linalg.eigh(projected)
         width = self.block.shape[1]
-        return values[:width], space @ q[:, :width]
+        return np.linalg.eigvalsh(projected[:first, :first])[:width], values[:width], space @ q[:, :width]
 
     def _beside(self, space: Reals, columns: Reals) -> Reals:
         """Columns as an orthonormal basis (by M) of what they add to an orthonormal one."""

@@ -298,6 +298,7 @@ class Nearest:
         """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
 
         def firm(point: Checkpoint) -> bool:
+            self.beside.polish(point)
             return self.journal.flag(lambda: stays(point.z, self._sag(point)))
 
         if self.clock.over():

@@ -187,9 +187,10 @@ class Neighbours:
 
     def polish(self, point: Checkpoint) -> None:
         """Brings the residual of a point in equilibrium down to round-off, or as near as Newton's method does."""
-        self.direct.tolerance, kept = EXACT, point.z.copy()
+        before, self.direct.tolerance, kept = self.direct.tolerance, EXACT, point.z.copy()
         if not (self.linearise(point) and self._balance(point)):
             kept.copy(point.z)
+        self.direct.tolerance = before
 
     def _tolerance(self, y: PETSc.Vec) -> float:
         return max(self.direct.tolerance * self.target.load_norm(y), self.direct.floor())

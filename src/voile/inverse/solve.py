@@ -23,7 +23,7 @@ from voile.inverse.nearest import approach
 from voile.inverse.nearest_path import NearestPath
 from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
-from voile.inverse.verify import Simulation, simulate
+from voile.inverse.verify import Proofs, Simulation, settles_within, simulate
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
@@ -82,9 +82,10 @@ def solve_inverse(
     away = None if guess is None else guess[problem.part.vertex] - target.x
     path = _direct(target, journal, on_step, None if away is None else target.field_vector(away))
     adjoint = nearest = None
+    proofs = Proofs(target, options.tolerance)
 
     def stays(rest: PETSc.Vec, sag: float) -> bool:
-        runs = (simulate(target, rest, options.tolerance, disturbed=d) for d in (False, True))
+        runs = (proofs(rest, disturbed) for disturbed in (False, True))
         return all(run.stable and run.sag <= NEAR * sag for run in runs)
 
     if on_found and not path.converged and options.method != "direct":
@@ -93,12 +94,11 @@ def solve_inverse(
         path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
     if not path.converged and options.method == "adjoint":
         nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds, journal)
-    proof = None
     if nearest:
         target.hold(nearest.rest)
-        proof = simulate(target, nearest.rest, options.tolerance)
-        if not nearest.timed_out and not _nearer(target, nearest, proof, options.tolerance):
-            nearest = proof = None
+        run = proofs(nearest.rest)
+        if not nearest.timed_out and not _nearer(target, nearest, run, options.tolerance):
+            nearest = None
     if not (path.converged or nearest) and options.method != "direct":
         target.load(1.0)
         target.hold(path.rest)
@@ -119,7 +119,7 @@ def solve_inverse(
     exact = Direct(target).home(beside.state, beside.rest, on_step) if beside and whole else None
     if exact:  # past where the direct branch turned back
         exact.iterations += path.iterations
-        path, nearest, adjoint, proof = exact, None, None, None
+        path, nearest, adjoint = exact, None, None
     found = nearest or adjoint or path
     if not adjoint:
         target.hold(found.rest)  # the search for the least margin ends at another one
@@ -129,7 +129,7 @@ def solve_inverse(
             on_found(z)  # there may be none
         target.load(1.0)
         z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration, journal)
-        nearest = proof = None
+        nearest = None
     if adjoint:
         target.release()
     searched = time.perf_counter()
@@ -137,8 +137,11 @@ def solve_inverse(
         on_found(z)
     proving = time.perf_counter()
     tolerance = _resolved(target, path, options.tolerance) if found is path else options.tolerance
-    simulation = proof or simulate(target, z, tolerance, eigenvalue=adjoint is not None)
-    disturbed = simulate(target, z, tolerance, disturbed=True)
+    if nearest:
+        simulation, disturbed = proofs(z), proofs(z, True)
+    else:
+        simulation = simulate(target, z, tolerance, eigenvalue=adjoint is not None)
+        disturbed = simulate(target, z, tolerance, disturbed=True)
     held = simulate(target, z, tolerance, start=nearest.state) if nearest else None
     if nearest:
         eigenvalue, mode = nearest.eigenvalue, nearest.mode
@@ -160,8 +163,8 @@ def _nearer(target: Target, nearest: NearestPath, run: Simulation, tolerance: fl
     is its simulation from the target, where that ends in it."""
     stays = run.stable and run.sag <= NEAR * nearest.sag
     target.release()
-    plain = simulate(target, target.problem.create_vector(), tolerance)
-    return not plain.stable or (run.sag if stays else nearest.sag) < plain.sag
+    plain = target.problem.create_vector()
+    return not settles_within(target, plain, tolerance, run.sag if stays else nearest.sag)
 
 
 def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:

@@ -1,6 +1,8 @@
 """Does the rest shape hold the target? The direct simulation from the target, and from a disturbed start."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from petsc4py import PETSc
@@ -16,6 +18,9 @@ from voile.solver.statics import solve_statics
 DISTURBANCE = 1.0  # thicknesses
 NEARER = 0.1  # of its way to where contact may begin, that a vertex is disturbed at most: no jags there
 CLOSED = 0.1  # rad, opening of a fold that a disturbance might turn inside out
+ASTRAY = (
+    4.0  # limits, beyond which no descent comes back: an overshoot against stretching is 4^(1/3) of the way
+)
 GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewise: strain
 
 
@@ -56,22 +61,63 @@ def simulate(
     disturbed: bool = False,
     eigenvalue: bool = False,
     start: PETSc.Vec | None = None,
+    watch: Callable[[PETSc.Vec], None] | None = None,
 ) -> Simulation:
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
     starting at the target, disturbed a thickness off it away from contacts, or at the unknowns `start`. tolerance:
-    residual over the loads' norm."""
+    residual over the loads' norm; watch: told of the iterates of descents, to which a simulation that is watched keeps
+    from the start."""
     (panels or target.rest).set(z)
     problem = target.obstructed()
     first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
     beside = _disturbance(target) if disturbed else problem.create_vector()
     first.axpy(1.0, beside)
+    first_method: Literal["newton", "descent"] = "descent" if disturbed or watch else "newton"
     options = StaticsOptions(
-        load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, first="descent" if disturbed else "newton"
+        load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, first=first_method, watch=watch
     )
     path = solve_statics(problem, options, start=first)
     problem.reset_origin(path.state)
     farthest = beside.norm(PETSc.NormType.INFINITY)
     return Simulation(path, sag(target, path.state, start), problem, farthest)
+
+
+class Astray(Exception):
+    """A simulation has gone too far."""
+
+
+def settles_within(target: Target, z: PETSc.Vec, tolerance: float, limit: float) -> bool:
+    """Whether the simulation with rest shape z from the target ends stable with a sag under a limit; it is given up
+    where it has gone far beyond."""
+
+    def watch(y: PETSc.Vec) -> None:
+        if sag(target, y) > ASTRAY * limit:
+            raise Astray
+
+    try:
+        run = simulate(target, z, tolerance, watch=watch)
+    except Astray:
+        return False
+    return run.stable and run.sag <= limit
+
+
+class Proofs:
+    """Simulations of rest shapes from the target and from beside it, each done once. Beside what the target holds with
+    the rest shape, and the tolerance, they depend on nothing."""
+
+    def __init__(self, target: Target, tolerance: float):
+        self.target, self.tolerance = target, tolerance
+        self.runs: list[tuple[PETSc.Vec, dict[bool, Simulation]]] = []
+
+    def __call__(self, z: PETSc.Vec, disturbed: bool = False) -> Simulation:
+        """One of them; the target holds with z."""
+        runs = next((runs for known, runs in self.runs if known.equal(z)), None)
+        if runs is None:
+            runs = dict[bool, Simulation]()
+            self.runs.append((z.copy(), runs))
+        if disturbed not in runs:
+            runs[disturbed] = simulate(self.target, z, self.tolerance, disturbed=disturbed)
+        return runs[disturbed]
 
 
 def sag(target: Target, y: PETSc.Vec, start: PETSc.Vec | None = None) -> float:

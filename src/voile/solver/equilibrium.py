@@ -43,6 +43,7 @@ class Solver:
 
     def __init__(self, problem: Problem, options: StaticsOptions, counts: Counts | None = None):
         self.problem, self.work = problem, Workspace(problem, counts)
+        self.work.watch = options.watch
         self.perturbation = options.perturbation * problem.thickness()
         self.descent = Descent(self.work)
         self.off_saddle: OffSaddle | None = None
@@ -93,7 +94,8 @@ class Solver:
         """The first method, and nested iteration around another, where that pays."""
         if not self.nests:
             return first, []
-        self.nested = Nested(self.problem, fine, lambda level: Solver(level, options, self.work.counts))
+        coarse = replace(options, watch=None)  # of the problem's own unknowns
+        self.nested = Nested(self.problem, fine, lambda level: Solver(level, coarse, self.work.counts))
         return Promising(first, self.nested), [self.nested]
 
     def promises(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:

@@ -23,7 +23,7 @@ class StaticsOptions:
     state, eigenvalue: with its smallest eigenvalue; first: the method to begin with, newton near an equilibrium,
     descent from a start that strains the shell far beyond one, where full steps are of no use; nested: coarser levels
     of the mesh first, where that pays (see solver.nested); load_factors: prescribed ends of load steps, ascending, the
-    last one 1."""
+    last one 1; watch: told of descents' iterates (unknowns), it may raise to end the path."""
 
     load_steps: int | None = None
     max_steps: int = 1000
@@ -34,6 +34,7 @@ class StaticsOptions:
     first: Literal["newton", "descent"] = "newton"
     nested: bool = False
     load_factors: tuple[float, ...] = ()
+    watch: Callable[[PETSc.Vec], None] | None = None
 
 
 @dataclass

@@ -169,6 +169,8 @@ class Iterate:
             reason = test(snes, it, y, direction, norm)
             if not reason and self.method.settled and self.method.settled(self.steps):
                 reason = _REASON.CONVERGED_ITS
+            if self.work.watch:
+                self.work.watch(y)
             if not reason and self.method.hopeless and self.method.hopeless(y):
                 reason = _REASON.DIVERGED_LOCAL_MIN
             if not reason and stall.reached(problem, y, norm):

@@ -1,6 +1,7 @@
 """What all methods share: their interface, their workspace, their SNES."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,7 +48,8 @@ class Method(Protocol):
 
 
 class Workspace:
-    """What the methods of a run share: the tangent's matrix with its linear solvers, and the counts.
+    """What the methods of a run share: the tangent's matrix with its linear solvers, the counts, and who watches
+    descents' iterates.
 
     `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_. With
     `inertia` both can iterate first (`iterate`), prefixes step_ and step_friction_.
@@ -55,6 +57,7 @@ class Workspace:
 
     def __init__(self, problem: Problem, counts: Counts | None = None, inertia: bool = False):
         self.comm, self.monitor = problem.comm, problem.monitor
+        self.watch: Callable[[PETSc.Vec], None] | None = None
         self.matrix, self.counts = problem.create_matrix(), counts or Counts()
         set_defaults(DEFAULTS)
         ksp = PETSc.KSP().create(comm=problem.comm)
