@@ -1,10 +1,9 @@
 """Nested iteration: where it is used, what its levels are, and that its equilibria lie as low as those without."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 from everyday import sheet
@@ -40,9 +39,7 @@ def scene(tmp_path) -> Path:
 
 
 def voile(*arguments: object) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "voile.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300
-    )
+    done = command_line.voile(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

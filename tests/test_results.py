@@ -149,7 +149,7 @@ def test_round_trip(tmp_path, steps):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("gather", ["0", "1"])
-@pytest.mark.parametrize("ranks", [1, 2, 4])
+@pytest.mark.parametrize("ranks", [1, 2, pytest.param(4, marks=pytest.mark.slow)])
 def test_same_file_on_any_number_of_ranks(tmp_path, mpirun, monkeypatch, ranks, gather):
     monkeypatch.setenv("VOILE_GATHER", gather)
     done = mpirun(ranks, [sys.executable, __file__, str(tmp_path / "result.vtkhdf"), "20"], 60)
