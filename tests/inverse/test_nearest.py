@@ -16,7 +16,7 @@ from test_direct import heavy_strip, rod, solve
 from voile.inverse.direct import Direct
 from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.result import inverse_report
-from voile.inverse.solve import InverseOptions, solve_inverse
+from voile.inverse.solve import InverseOptions, Told, solve_inverse
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import Target
 from voile.inverse.verify import settles_within
@@ -129,7 +129,7 @@ def test_a_search_whose_time_is_over_ends_with_the_last_stable_shape(monkeypatch
     problem, steps = Problem(shape, MPI.COMM_SELF), []
     monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(steps)))
     options = InverseOptions(max_seconds=4.0)
-    result = solve_inverse(problem, shape, [], 0.0, options, on_nearest=steps.append)
+    result = solve_inverse(problem, shape, [], 0.0, options, told=Told(nearest=steps.append))
     nearest, figures = result.nearest, inverse_report(result)["nearest"]
     assert nearest is not None and result.adjoint is None
     assert figures["timed_out"] and figures["load_fraction"] == nearest.fraction
@@ -152,7 +152,7 @@ def test_time_that_ends_at_the_full_load_leaves_an_answer(monkeypatch):
     over = SimpleNamespace(perf_counter=lambda: 2.0 * bool(steps and steps[-1].fraction == 1.0))
     monkeypatch.setattr("voile.inverse.nearest.time", over)
     options = InverseOptions(max_seconds=1.0)
-    result = solve_inverse(problem, shape, [], 0.0, options, on_nearest=steps.append)
+    result = solve_inverse(problem, shape, [], 0.0, options, told=Told(nearest=steps.append))
     assert result.nearest is not None and result.nearest.timed_out and result.nearest.fraction == 1.0
     assert result.held.stable and result.held.sag < 1e-6
     assert "ended the search at 1 of the load" in result.reason

@@ -25,6 +25,7 @@ from voile.inverse.direct import Direct
 from voile.inverse.modes import Modes
 from voile.problem.rest import rest_areas
 from voile.problem.scales import slow_rate
+from voile.problem.triangles import gather_triangles, spread_triangles
 from voile.solver.anderson import Anderson
 
 CUT = 20.0  # slow rates above the margin under which modes are known
@@ -351,7 +352,7 @@ class Neighbours:
         """Gradients of v_i^T K v_j, i <= j, by shape and rest shape: (v_i^T R_y v_j) by central differences along v_j.
         Masses, contact and the rest invariants' derivative do not change along it."""
         modes, problem, y = point.modes, self.problem, self.go_to(point)
-        local, slopes = np.stack([problem.spread_triangles(mode) for mode in modes], axis=2), Slopes()
+        local, slopes = np.stack([spread_triangles(problem, mode) for mode in modes], axis=2), Slopes()
         kernel, right = problem.kernel, problem.kernel.rest_jacobian()[:, :, :18].transpose(0, 2, 1)
         there, out, directors = y.duplicate(), y.duplicate(), ~self.target.rest.is_vertex
         pulls = np.zeros((len(right), 21))
@@ -372,7 +373,7 @@ class Neighbours:
             turned = np.matmul(right, rates)
             for i, slope in enumerate(along):
                 pulls[:, :18] = turned[:, :, i]
-                pull = problem.gather_triangles(pulls)
+                pull = gather_triangles(problem, pulls)
                 pull.array[directors] += slope.array_r[directors]  # the director angles are z's
                 slope.array[~self.free] = 0.0
                 slopes[i, j] = Move(slope, pull)

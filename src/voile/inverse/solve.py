@@ -21,6 +21,7 @@ from voile.inverse.kept import packed_direct, unpacked_direct
 from voile.inverse.nearest import Progress as NearestProgress
 from voile.inverse.nearest import approach
 from voile.inverse.nearest_path import NearestPath
+from voile.inverse.objective import Design
 from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
 from voile.inverse.verify import Proofs, Simulation, settles_within, simulate
@@ -30,6 +31,7 @@ from voile.problem.shell import Shell
 from voile.solver.path import Arrays
 
 Progress = Callable[[DirectStep], None]
+Proof = tuple[Simulation, Simulation, Simulation | None, float, PETSc.Vec]
 COARSE = 0.25  # of the load, steps in which each hold on contacts is tried first
 TRADE = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)  # shares of the way to the developable rest shape
 
@@ -55,68 +57,45 @@ class InverseOptions:
     max_seconds: float = 0.0
 
 
+@dataclass(frozen=True)
+class Told:
+    """Who is told of a search: of each step of the direct method and to the nearest stable shape, of each iteration of
+    the adjoint method; found: of the rest shape, or of panels' coordinates, before the proof, and before a search that
+    may be long."""
+
+    step: Progress | None = None
+    nearest: NearestProgress | None = None
+    iteration: AdjointProgress | None = None
+    found: Callable[..., None] = lambda _: None
+
+
 def solve_inverse(
     problem: Problem,
     shell: Shell | None,
     obstacles: list[Obstacle],
     offset: float,
     options: InverseOptions | None = None,
-    on_step: Progress | None = None,
-    on_iteration: AdjointProgress | None = None,
+    *,
+    layers: Layers | None = None,
     exempt: Ints | None = None,
     guess: Reals | None = None,
-    on_nearest: NearestProgress | None = None,
-    layers: Layers | None = None,
-    on_found: Callable[[PETSc.Vec], None] | None = None,
+    told: Told | None = None,
     journal: Journal | None = None,
 ) -> InverseResult:
     """The rest shape that makes the problem's start shape (shell: rank 0's) a stable equilibrium on the obstacles,
     `offset` (m) from the mid-surface, and on its own `layers` where they are in each other's way. exempt: vertices of
     the shell that may have an angle defect in a developable rest shape, beside boundaries and seams; guess (n, 3) m:
-    rest positions to start from. exempt and guess on rank 0. on_found takes the rest shape before its proof; journal:
-    what an interrupted search goes on from. Raises NotConverged where no reactions can hold the target."""
-    options, journal = options or InverseOptions(), journal or Journal()
-    began = time.perf_counter()
+    rest positions to start from. exempt and guess on rank 0. journal: what an interrupted search goes on from. Raises
+    NotConverged where no reactions can hold the target."""
+    options, told, began = options or InverseOptions(), told or Told(), time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
+    search = Search(target, options, told, journal or Journal())
     guess = problem.comm.bcast(guess)
     away = None if guess is None else guess[problem.part.vertex] - target.x
-    path = _direct(target, journal, on_step, None if away is None else target.field_vector(away))
-    adjoint = nearest = None
-    proofs = Proofs(target, options.tolerance)
-
-    def stays(rest: PETSc.Vec, sag: float) -> bool:
-        runs = (proofs(rest, disturbed) for disturbed in (False, True))
-        return all(run.stable and run.sag <= NEAR * sag for run in runs)
-
-    if on_found and not path.converged and options.method != "direct":
-        on_found(path.rest)  # the search that follows may be long
-    if not path.converged and options.method == "direct":
-        path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
-    if not path.converged and options.method == "adjoint":
-        nearest = approach(target, path, options.margin, stays, on_nearest, options.max_seconds, journal)
-    if nearest:
-        target.hold(nearest.rest)
-        run = proofs(nearest.rest)
-        if not nearest.timed_out and not _nearer(target, nearest, run, options.tolerance):
-            nearest = None
-    if not (path.converged or nearest) and options.method != "direct":
-        target.load(1.0)
-        target.hold(path.rest)
-        try:
-            adjoint = minimise(
-                target,
-                path.rest,
-                options.regularisation,
-                options.iterations,
-                options.tolerance,
-                on_iteration,
-                journal=journal,
-            )
-        except NotConverged as reason:  # the last stable rest shape stays
-            path.reason += f"; {reason}"
-    beside = nearest or adjoint
-    whole = beside is not None and (nearest is None or nearest.fraction == 1.0)
-    exact = Direct(target).home(beside.state, beside.rest, on_step) if beside and whole else None
+    path = search.direct(None if away is None else target.field_vector(away))
+    nearest = search.nearest(path)
+    adjoint = None if nearest else search.adjoint(path)
+    exact = search.home(nearest, adjoint)
     if exact:  # past where the direct branch turned back
         exact.iterations += path.iterations
         path, nearest, adjoint = exact, None, None
@@ -125,37 +104,174 @@ def solve_inverse(
         target.hold(found.rest)  # the search for the least margin ends at another one
     z, trade = found.rest, None
     if options.developable:
-        if on_found:
-            on_found(z)  # there may be none
-        target.load(1.0)
-        z, adjoint, trade = _make_developable(target, shell, exempt, z, options, on_iteration, journal)
+        told.found(z)  # there may be none
+        z, adjoint, trade = search.developable(shell, exempt, z)
         nearest = None
     if adjoint:
         target.release()
     searched = time.perf_counter()
-    if on_found:
-        on_found(z)
+    told.found(z)
     proving = time.perf_counter()
     tolerance = _resolved(target, path, options.tolerance) if found is path else options.tolerance
-    if nearest:
-        simulation, disturbed = proofs(z), proofs(z, True)
-    else:
-        simulation = simulate(target, z, tolerance, eigenvalue=adjoint is not None)
-        disturbed = simulate(target, z, tolerance, disturbed=True)
-    held = simulate(target, z, tolerance, start=nearest.state) if nearest else None
-    if nearest:
-        eigenvalue, mode = nearest.eigenvalue, nearest.mode
-    elif adjoint:
-        eigenvalue, mode = simulation.eigenvalue, path.mode or problem.create_vector()
-    else:
-        target.load(path.fraction)
-        eigenvalue, mode = target.smallest(z)
-        mode = path.mode or mode
+    simulation, disturbed, held, eigenvalue, mode = search.proof(z, path, nearest, adjoint, tolerance)
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
         nearest=nearest, held=held, guess=away, tolerance=tolerance,
     )  # fmt: skip
+
+
+class Search:
+    """The stages of a search and its proof."""
+
+    def __init__(self, target: Target, options: InverseOptions, told: Told, journal: Journal):
+        self.target, self.options, self.told, self.journal = target, options, told, journal
+        self.proofs = Proofs(target, options.tolerance)
+
+    def direct(self, guess: PETSc.Vec | None = None) -> DirectPath:
+        """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method
+        may alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is
+        taken. Raises NotConverged where round-off hides the loads."""
+        target, solver, paths = self.target, Direct(self.target), dict[float, DirectPath]()
+        holds = HOLDS if target.contacts else HOLDS[:1]
+        for smallest in (COARSE, SMALLEST):
+            for hold in holds:
+                target.penalty = hold * target.membrane
+                if hold not in paths:
+                    solver.check_round_off()
+                before = paths.get(hold)
+
+                def work(
+                    kept: Arrays, keep: Keep, so_far: DirectPath | None = before, least: float = smallest
+                ) -> Arrays:
+                    path = unpacked_direct(target.problem, kept) if kept else so_far
+                    return packed_direct(
+                        solver.follow(
+                            self.told.step,
+                            guess,
+                            least,
+                            path,
+                            lambda path: keep(partial(packed_direct, path)),
+                        )
+                    )
+
+                path = paths[hold] = unpacked_direct(target.problem, self.journal.call(work))
+                if path.converged or path.critical is not None:
+                    break
+            if path.converged:
+                break
+        best = max(paths, key=lambda hold: paths[hold].fraction)
+        path, target.penalty = paths[best], best * target.membrane
+        path.iterations = sum(each.iterations for each in paths.values())
+        target.load(path.fraction)
+        target.rest.set(path.rest)
+        target.hold(path.rest)
+        return path
+
+    def nearest(self, path: DirectPath) -> NearestPath | None:
+        """The nearest stable shape where the direct method has none, if it is asked for and nearer than nothing."""
+        target, options = self.target, self.options
+        if path.converged:
+            return None
+        if options.method == "direct":
+            path.reason += '; inverse.method = "adjoint" goes on to the nearest stable shape'
+            return None
+        self.told.found(path.rest)  # the search that follows may be long
+        if options.method != "adjoint":
+            return None
+        found = approach(
+            target, path, options.margin, self._stays, self.told.nearest, options.max_seconds, self.journal
+        )
+        if not found:
+            return None
+        target.hold(found.rest)
+        run = self.proofs(found.rest)
+        nearer = found.timed_out or _nearer(target, found, run, options.tolerance)
+        return found if nearer else None
+
+    def _stays(self, rest: PETSc.Vec, sag: float) -> bool:
+        """Whether simulations of a rest shape end about so far from the target as its equilibrium lies."""
+        runs = (self.proofs(rest, disturbed) for disturbed in (False, True))
+        return all(run.stable and run.sag <= NEAR * sag for run in runs)
+
+    def adjoint(self, path: DirectPath) -> AdjointPath | None:
+        """The simulation nearest to the target where the direct method has no stable shape."""
+        if path.converged or self.options.method == "direct":
+            return None
+        self.target.load(1.0)
+        self.target.hold(path.rest)
+        try:
+            return self.minimise(path.rest)
+        except NotConverged as reason:  # the last stable rest shape stays
+            path.reason += f"; {reason}"
+            return None
+
+    def minimise(self, start: PETSc.Vec, design: Design | None = None) -> AdjointPath:
+        """The adjoint method from a start on."""
+        options, told = self.options, self.told
+        return minimise(
+            self.target,
+            start,
+            options.regularisation,
+            options.iterations,
+            options.tolerance,
+            told.iteration,
+            design,
+            journal=self.journal,
+        )
+
+    def home(self, nearest: NearestPath | None, adjoint: AdjointPath | None) -> DirectPath | None:
+        """The exact rest shape by the straight way from an equilibrium under the full load to the target."""
+        beside = nearest or adjoint
+        if beside is None or (nearest and nearest.fraction != 1.0):
+            return None
+        return Direct(self.target).home(beside.state, beside.rest, self.told.step)
+
+    def developable(
+        self, shell: Shell | None, exempt: Ints | None, z: PETSc.Vec
+    ) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float | None]]]:
+        """From a rest shape z to a developable one whose simulation is nearest to the target, and the trade between
+        them: largest angle defect (rad) and sag, None where no simulation settles, on the straight way from one to the
+        other."""
+        target = self.target
+        target.load(1.0)
+        design = DevelopableRest(target, shell, exempt)
+        design.set(z)
+        adjoint = self.minimise(design.projected, design)
+        design.set(adjoint.rest)
+        found, trade = design.projected.copy(), []
+        found.array[design.idle()] = adjoint.state.array_r[design.idle()]
+        for share in TRADE:
+            between = z.copy()
+            between.axpby(share, 1.0 - share, found)
+            reached = simulate(target, between, self.options.tolerance).settled_sag
+            target.rest.set(between)
+            trade.append({"share": share, "defect": design.largest_defect(), "sag": reached})
+        return found, adjoint, trade
+
+    def proof(
+        self,
+        z: PETSc.Vec,
+        path: DirectPath,
+        nearest: NearestPath | None,
+        adjoint: AdjointPath | None,
+        tolerance: float,
+    ) -> Proof:
+        """Simulations of the rest shape z from the target, from beside it, and where it is that of a nearest stable
+        shape from there; the smallest eigenvalue (1/s^2) of the answer and its mode."""
+        target = self.target
+        if nearest:
+            simulation, disturbed = self.proofs(z), self.proofs(z, True)
+            held = simulate(target, z, tolerance, start=nearest.state)
+            return simulation, disturbed, held, nearest.eigenvalue, nearest.mode
+        simulation = simulate(target, z, tolerance, eigenvalue=adjoint is not None)
+        disturbed = simulate(target, z, tolerance, disturbed=True)
+        if adjoint:
+            mode = path.mode or target.problem.create_vector()
+            return simulation, disturbed, None, simulation.eigenvalue, mode
+        target.load(path.fraction)
+        eigenvalue, mode = target.smallest(z)
+        return simulation, disturbed, None, eigenvalue, path.mode or mode
 
 
 def _nearer(target: Target, nearest: NearestPath, run: Simulation, tolerance: float) -> bool:
@@ -175,80 +291,6 @@ def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
     return max(tolerance, path.residual / target.load_norm(target.rest.state(path.rest)))
 
 
-def _direct(
-    target: Target, journal: Journal, on_step: Progress | None, guess: PETSc.Vec | None = None
-) -> DirectPath:
-    """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method may
-    alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is taken.
-    Raises NotConverged where round-off hides the loads."""
-    solver, paths = Direct(target), dict[float, DirectPath]()
-    holds = HOLDS if target.contacts else HOLDS[:1]
-    for smallest in (COARSE, SMALLEST):
-        for hold in holds:
-            target.penalty = hold * target.membrane
-            if hold not in paths:
-                solver.check_round_off()
-            before = paths.get(hold)
-
-            def work(
-                kept: Arrays, keep: Keep, so_far: DirectPath | None = before, least: float = smallest
-            ) -> Arrays:
-                path = unpacked_direct(target.problem, kept) if kept else so_far
-                return packed_direct(
-                    solver.follow(
-                        on_step, guess, least, path, lambda path: keep(partial(packed_direct, path))
-                    )
-                )
-
-            path = paths[hold] = unpacked_direct(target.problem, journal.call(work))
-            if path.converged or path.critical is not None:
-                break
-        if path.converged:
-            break
-    best = max(paths, key=lambda hold: paths[hold].fraction)
-    path, target.penalty = paths[best], best * target.membrane
-    path.iterations = sum(each.iterations for each in paths.values())
-    target.load(path.fraction)
-    target.rest.set(path.rest)
-    target.hold(path.rest)
-    return path
-
-
-def _make_developable(
-    target: Target,
-    shell: Shell | None,
-    exempt: Ints | None,
-    z: PETSc.Vec,
-    options: InverseOptions,
-    on_iteration: AdjointProgress | None,
-    journal: Journal,
-) -> tuple[PETSc.Vec, AdjointPath, list[dict[str, float | None]]]:
-    """From a rest shape z to a developable one whose simulation is nearest to the target, and the trade between them:
-    largest angle defect (rad) and sag, None where no simulation settles, on the straight way from one to the other."""
-    design = DevelopableRest(target, shell, exempt)
-    design.set(z)
-    adjoint = minimise(
-        target,
-        design.projected,
-        options.regularisation,
-        options.iterations,
-        options.tolerance,
-        on_iteration,
-        design,
-        journal=journal,
-    )
-    design.set(adjoint.rest)
-    found, trade = design.projected.copy(), []
-    found.array[design.idle()] = adjoint.state.array_r[design.idle()]
-    for share in TRADE:
-        between = z.copy()
-        between.axpby(share, 1.0 - share, found)
-        reached = simulate(target, between, options.tolerance).settled_sag
-        target.rest.set(between)
-        trade.append({"share": share, "defect": design.largest_defect(), "sag": reached})
-    return found, adjoint, trade
-
-
 def solve_panels(
     problem: Problem,
     shell: Shell | None,
@@ -256,36 +298,25 @@ def solve_panels(
     obstacles: list[Obstacle],
     offset: float,
     options: InverseOptions | None = None,
-    on_step: Progress | None = None,
-    on_iteration: AdjointProgress | None = None,
+    *,
     layers: Layers | None = None,
-    on_found: Callable[[Reals], None] | None = None,
     even: Callable[[Reals], Reals] | None = None,
+    told: Told | None = None,
     journal: Journal | None = None,
 ) -> tuple[InverseResult, Reals]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
-    variables: the panels that drape nearest to the target, and their coordinates (p, 2) m, which on_found takes, as it
-    does those that the search starts from. even: makes coordinates symmetric, on all ranks; the search starts from
-    such panels, and such are proved."""
-    options, journal = options or InverseOptions(), journal or Journal()
-    began = time.perf_counter()
+    variables: the panels that drape nearest to the target, and their coordinates (p, 2) m; told.found takes these
+    and those that the search starts from. even: makes coordinates symmetric, on all ranks; the search starts from such
+    panels, and such are proved."""
+    options, told, began = options or InverseOptions(), told or Told(), time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
-    path = _direct(target, journal, on_step)  # for the reactions at the target
+    search = Search(target, options, told, journal or Journal())
+    path = search.direct()  # for the reactions at the target
     target.load(1.0)
     base = problem.comm.bcast(start_of_panels(target, shell, path.rest, flat))
     panels = PanelRest(problem, even(base) if even else base)
-    if on_found:
-        on_found(panels.base)  # the search may be long, or find nothing
-    adjoint = minimise(
-        target,
-        panels.create(),
-        options.regularisation,
-        options.iterations,
-        options.tolerance,
-        on_iteration,
-        panels,
-        journal=journal,
-    )
+    told.found(panels.base)  # the search may be long, or find nothing
+    adjoint = search.minimise(panels.create(), panels)
     target.release()
     simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
     z = adjoint.rest
@@ -293,8 +324,7 @@ def solve_panels(
         panels.take(z, even(panels.coordinates(z)))
         simulation = simulate(target, z, options.tolerance, panels=panels)
     searched = time.perf_counter()
-    if on_found:
-        on_found(panels.coordinates(z))
+    told.found(panels.coordinates(z))
     proving = time.perf_counter()
     disturbed = simulate(target, z, options.tolerance, panels=panels, disturbed=True)
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}

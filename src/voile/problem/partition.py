@@ -188,33 +188,19 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     vertex = np.union1d(corners, np.flatnonzero(numbering.node_owner[:n] == rank))
     edge = np.unique(topology.triangle_edges[triangles])
     dofs = np.concatenate([(3 * vertex[:, None] + np.arange(3)).ravel(), 3 * n + edge])
-    rows = constraints.matrix[dofs]
-    begin, end = numbering.range_start[rank], numbering.range_start[rank + 1]
-    used = numbering.unknown[rows.indices]
-    ghost = np.unique(used[(used < begin) | (used >= end)])
-    local = np.where(
-        (used >= begin) & (used < end), used - begin, (end - begin) + np.searchsorted(ghost, used)
-    )
-    matrix = sp.csr_matrix((rows.data, local, rows.indptr), shape=(len(dofs), int(end - begin) + len(ghost)))
-    matrix.sort_indices()
-    vertex_local = np.full(n, -1, dtype=np.int32)
-    vertex_local[vertex] = np.arange(len(vertex))
-    edge_local = np.full(edges, -1, dtype=np.int32)
-    edge_local[edge] = np.arange(len(edge))
-    triangle_local = np.full(len(shell.triangles), -1, dtype=np.int64)
-    triangle_local[triangles] = np.arange(len(triangles))
+    matrix, ghost = _combination(constraints.matrix[dofs], numbering, rank)
+    vertex_local, edge_local = _numbers(vertex, n), _numbers(edge, edges)
+    triangle_local = _numbers(triangles, len(shell.triangles)).astype(np.int64)
     other = topology.across[triangles]
     other_local = triangle_local[np.maximum(other, 0) // 3]
     across = np.where((other >= 0) & (other_local >= 0), 3 * other_local + other % 3, -1).astype(np.int32)
     rest_vertex, rest_corners = np.unique(shell.rest_triangles[triangles], return_inverse=True)
-    mine = clamps[triangle_local[clamps[:, 0].astype(np.int64) // 3] >= 0] if len(clamps) else clamps
-    held = mine[:, 0].astype(np.int64)
-    mine = np.column_stack([3 * triangle_local[held // 3] + held % 3, mine[:, 1:]])
     force = np.zeros((n, 3)) if shell.force is None else shell.force
     moment = np.zeros((len(shell.triangles), 3)) if shell.moment is None else shell.moment.reshape(-1, 3)
     patch = shell.patch_pressure
     counted = numbering.node_owner[shell.triangles[triangles, 0]] == rank
     fabric = np.stack([a[triangles] for a in (shell.thickness, shell.young, shell.poisson, shell.density)])
+    own = np.arange(*numbering.range_start[rank : rank + 2])
     return Part(
         vertex=vertex,
         edge=edge,
@@ -233,8 +219,8 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         matrix=matrix,
         closure=constraints.closure[dofs],
         supports=constraints.supports.of(dofs),
-        place=_places(numbering.dof[begin:end], vertex_local, edge_local, len(vertex)),
-        direction=constraints.direction[numbering.dof[np.concatenate([np.arange(begin, end), ghost])]],
+        place=_places(numbering.dof[own], vertex_local, edge_local, len(vertex)),
+        direction=constraints.direction[numbering.dof[np.concatenate([own, ghost])]],
         force=np.concatenate([force[vertex].ravel(), np.zeros(len(edge))]),
         mass=_mass(shell)[dofs],
         moment=moment[triangles].ravel(),
@@ -243,14 +229,42 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
         bars=_joined(shell.bars, 2, 4, vertex_local, numbering.node_owner, rank),
         welds=_joined(shell.welds, 6, 9, vertex_local, numbering.node_owner, rank),
         extra_mass=np.zeros(len(vertex)) if shell.extra_mass is None else shell.extra_mass[vertex],
-        half_edge_clamp=mine,
+        half_edge_clamp=_clamps(clamps, triangle_local),
         turns=tuple(motion for _, motion in shell.moves),
-        owned=int(end - begin),
-        first_global=int(begin),
+        owned=len(own),
+        first_global=int(numbering.range_start[rank]),
         ghost_global=ghost,
         owned_vertices=np.flatnonzero(numbering.node_owner[vertex] == rank),
         owned_edges=np.flatnonzero(numbering.node_owner[n + edge] == rank),
     )
+
+
+def _numbers(kept: Ints, count: int) -> Ints:
+    """(count,) place of each in `kept`, -1 for those that are not."""
+    found: Ints = np.full(count, -1, dtype=np.int32)
+    found[kept] = np.arange(len(kept))
+    return found
+
+
+def _combination(rows: sp.csr_matrix, numbering: Numbering, rank: int) -> tuple[sp.csr_matrix, Ints]:
+    """Rows of C over a rank's unknowns, its own and then its ghosts; the ghosts' global numbers."""
+    begin, end = numbering.range_start[rank], numbering.range_start[rank + 1]
+    used = numbering.unknown[rows.indices]
+    here = (used >= begin) & (used < end)
+    ghost = np.unique(used[~here])
+    local = np.where(here, used - begin, (end - begin) + np.searchsorted(ghost, used))
+    shape = rows.shape[0], int(end - begin) + len(ghost)
+    matrix = sp.csr_matrix((rows.data, local, rows.indptr), shape=shape)
+    matrix.sort_indices()
+    return matrix, ghost
+
+
+def _clamps(clamps: Reals, triangle: Ints) -> Reals:
+    """Those of the triangles here, by local half edges; triangle (m,): local numbers."""
+    half = clamps[:, 0].astype(np.int64)
+    place = triangle[half // 3]
+    found: Reals = np.column_stack([3 * place + half % 3, clamps[:, 1:]])[place >= 0]
+    return found
 
 
 def _places(dof: Ints, vertex: Ints, edge: Ints, vertices: int) -> Ints:

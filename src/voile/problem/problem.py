@@ -9,7 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _kernels
-from voile.arrays import Flags, Ints, Reals, sums
+from voile.arrays import Flags, Ints, Reals
 from voile.contact.contact import Contact
 from voile.elastic import has_directors
 from voile.problem.elastic import Elastic
@@ -269,25 +269,6 @@ class Problem:
         self._assembly.scatter.assemble(blocks)
         self._assembly.add(matrix, at_vertices)
         matrix.assemble()
-
-    def gather_triangles(self, forces: Reals) -> PETSc.Vec:
-        """Sum over triangles of forces (m, 21) on corners, vertices across edges (those are zero without a neighbour)
-        and directors, on the unknowns."""
-        f, size = self.create_vector(), self.part.matrix.shape[0]
-        f.array[:] = self.layout.collect(sums(self._triangle_dofs().ravel(), forces.ravel(), size))
-        return f
-
-    def spread_triangles(self, direction: PETSc.Vec) -> Reals:
-        """(m, 21) the direction of the unknowns on the triangles' degrees of freedom, as in `gather_triangles`."""
-        return np.concatenate(self.layout.spread(direction))[self._triangle_dofs()]
-
-    def _triangle_dofs(self) -> Ints:
-        """(m, 21) local degrees of freedom of corners, vertices across edges and directors."""
-        part = self.part
-        across = part.corners.ravel()[np.maximum(part.across, 0)]
-        vertices = np.concatenate([part.corners, across], axis=1)
-        places = (3 * vertices[:, :, None] + np.arange(3)).reshape(-1, 18)
-        return np.concatenate([places, self.layout.vertices + part.triangle_edges], axis=1)
 
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:
         """Adds to f (N) what the residual's derivative along a direction has beyond the last `tangent`, which is

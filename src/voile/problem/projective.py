@@ -14,7 +14,7 @@ from voile.problem.partition import Part
 
 def constant_blocks(part: Part) -> Reals:
     """(m, 21, 21) N/m of the triangles: the same for the three components of corners and vertices across edges, none
-    for directors. As in `Problem.gather_triangles`."""
+    for directors. As in `triangles.gather_triangles`."""
     area, gradients = _shape_functions(part)
     thickness, young, poisson, _ = part.fabric
     mu, lam = 0.5 * young / (1.0 + poisson), young * poisson / (1.0 - poisson**2)

@@ -10,6 +10,7 @@ from voile.arrays import Flags, Reals
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
 from voile.problem.problem import Problem
+from voile.problem.triangles import gather_triangles, spread_triangles
 
 STILL = 0.1  # weight of panels' mean square displacement over the size, beside that of their strain
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
@@ -144,7 +145,7 @@ class RestShape:
             thickness, _, _, density = part.fabric
             share = rest_areas(part)[0] / 3.0 * (density if name == "thickness" else thickness)
             local[:, :9] -= np.tile(problem.loads.gravity_at(problem.time), 3) * share[:, None]
-        return problem.gather_triangles(local)
+        return gather_triangles(problem, local)
 
     def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,) and edges (m, 3) of rest triangles over those of the base."""
@@ -190,8 +191,8 @@ class RestShape:
             self._matrix.multTranspose(w, out)
         else:
             slope = np.zeros((len(self.problem.part.corners), 21))
-            slope[:, :18] = self._derivative.pull(self.problem.spread_triangles(w))
-            out = self.problem.gather_triangles(slope)
+            slope[:, :18] = self._derivative.pull(spread_triangles(self.problem, w))
+            out = gather_triangles(self.problem, slope)
         out.array[~self.is_vertex] = 0.0
         return out
 
@@ -294,13 +295,13 @@ class PanelRest:
         part = self.problem.part
         moved = np.zeros((len(part.corners), 6, 3))
         moved[:, :3, :2] = self._everywhere(v)[part.rest_vertex][part.rest_corners]
-        return self.problem.gather_triangles(self._derivative.push(moved.reshape(-1, 18)))
+        return gather_triangles(self.problem, self._derivative.push(moved.reshape(-1, 18)))
 
     def pull(self, w: PETSc.Vec) -> PETSc.Vec:
         """w^T dR/dX."""
         assert self._derivative is not None
         part, out = self.problem.part, self.create()
-        slope = self._derivative.pull(self.problem.spread_triangles(w))[:, :9].reshape(-1, 3, 3)[:, :, :2]
+        slope = self._derivative.pull(spread_triangles(self.problem, w))[:, :9].reshape(-1, 3, 3)[:, :, :2]
         slope *= part.weight[:, None, None]  # each triangle on one rank
         total = np.zeros_like(self.base)
         np.add.at(total, part.rest_vertex[part.rest_corners], slope)

@@ -15,7 +15,7 @@ from voile.inverse.flatten import FlatPanels
 from voile.inverse.journal import Journal
 from voile.inverse.pattern import write_rest_obj
 from voile.inverse.result import InverseResult
-from voile.inverse.solve import InverseOptions, solve_inverse, solve_panels
+from voile.inverse.solve import InverseOptions, Told, solve_inverse, solve_panels
 from voile.mesh import METRES, write_obj
 from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
@@ -69,14 +69,11 @@ def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
         shell,
         *job.bodies(),
         options,
-        job.progress.fraction,
-        job.progress.optimisation,
-        _borders(job.model),
-        _guess(job),
-        job.progress.nearest,
-        job.layers(shell),
-        write,
-        _journal(job),
+        layers=job.layers(shell),
+        exempt=_borders(job.model),
+        guess=_guess(job),
+        told=_told(job, write),
+        journal=_journal(job),
     )
     return result, None, figures
 
@@ -100,14 +97,18 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
         flat,
         *job.bodies(),
         options,
-        job.progress.fraction,
-        job.progress.optimisation,
-        job.layers(cut),
-        write,
-        evenly(flat, job.scene, comm),
+        layers=job.layers(cut),
+        even=evenly(flat, job.scene, comm),
+        told=_told(job, write),
         journal=_journal(job),
     )
     return result, flat, figures
+
+
+def _told(job: Run, found: Callable[..., None]) -> Told:
+    """The progress, of steps, and who writes what is found."""
+    progress = job.progress
+    return Told(progress.fraction, progress.nearest, progress.optimisation, found)
 
 
 def _journal(job: Run) -> Journal:
