@@ -78,9 +78,11 @@ def minimise(
     weight of its change. Ends when it settles, or after so many iterations of TAO. journal: of the search."""
 
     def work(kept: Arrays, keep: Keep) -> Arrays:
-        path = _minimise(
-            target, start, regularisation, iterations, accuracy, on_step, design, objectives, kept, keep
-        )
+        terms = objectives or nearness(target, design or target.rest, start, regularisation)
+        search = Minimisation(target, start, design or target.rest, terms, accuracy, on_step)
+        if kept:
+            search.go_on(kept)
+        path = search.run(iterations, keep)
         return _packed(target, path) | {"rest": path.rest.array_r.copy()}
 
     found = (journal or Journal()).call(work)
@@ -90,71 +92,84 @@ def minimise(
     return path
 
 
-def _minimise(
-    target: Target,
-    start: PETSc.Vec,
-    regularisation: float,
-    iterations: int,
-    accuracy: float,
-    on_step: Progress | None,
-    design: Design | None,
-    objectives: Sequence[Objective] | None,
-    kept: Arrays,
-    keep: Keep,
-) -> AdjointPath:
-    problem = target.problem
-    design = design or target.rest
-    surface = not isinstance(design, PanelRest)
-    state = target.rest.state(start) if surface else problem.create_vector()
-    terms = objectives or nearness(target, design, start, regularisation)
-    objective = Reduced(target, design, terms, state, accuracy)
-    z, path = start.copy(), AdjointPath(start, start)
-    metric = design.metric() if isinstance(design, PanelRest) else None
-    first = radius = FIRST_STRAIN if metric else FIRST_RADIUS * problem.size() * math.sqrt(z.getSize())
-    if kept:
-        path, radius = _unpacked(target, design, kept), float(kept["radius"])
-        z = path.trail[-1].rest.copy()
-        objective.go_on(path.trail, kept)
-    before = path.steps[-1].iteration if kept else 0
-    solves = path.forward_solves, path.adjoint_solves
+class Minimisation:
+    """TAO's iterations for a sum of objectives from `start` on; `path` is told of everything. `before`: iterations of
+    the search that it goes on from, with their simulations and adjoint solves."""
 
-    def note(tao: PETSc.TAO) -> None:
+    def __init__(
+        self,
+        target: Target,
+        start: PETSc.Vec,
+        design: Design,
+        terms: Sequence[Objective],
+        accuracy: float,
+        on_step: Progress | None,
+    ):
+        self.target, self.design, self.on_step = target, design, on_step
+        problem, panels = target.problem, isinstance(design, PanelRest)
+        state = problem.create_vector() if panels else target.rest.state(start)
+        self.objective = Reduced(target, design, terms, state, accuracy)
+        self.z, self.path = start.copy(), AdjointPath(start, start)
+        self.metric = design.metric() if isinstance(design, PanelRest) else None
+        rough = FIRST_RADIUS * problem.size() * math.sqrt(start.getSize())
+        self.first = self.radius = FIRST_STRAIN if self.metric else rough
+        self.before, self.solves = 0, (0, 0)
+
+    def go_on(self, kept: Arrays) -> None:
+        """From what an interrupted search kept."""
+        path = self.path = _unpacked(self.target, self.design, kept)
+        self.radius, self.z = float(kept["radius"]), path.trail[-1].rest.copy()
+        self.objective.go_on(path.trail, kept)
+        self.before, self.solves = path.steps[-1].iteration, (path.forward_solves, path.adjoint_solves)
+
+    def run(self, iterations: int, keep: Keep) -> AdjointPath:
+        """Until it settles, or after so many iterations in all; keep: what an interrupted search goes on from."""
+        path = self.path
+        tao = _optimiser(self.objective, self.z, self.radius, self.metric)
+        tao.setMaximumIterations(max(iterations - self.before, 0))
+        tao.setMonitor(lambda tao: self._note(tao, keep))
+        tao.setConvergenceTest(lambda tao: _settled(tao, path, self.first, self.before))
+        try:
+            tao.solve()
+            path.reason = tao.getConvergedReason()
+        finally:
+            tao.destroy()  # calls back to what holds it
+        self._count()
+        path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
+        self.design.set(path.rest)
+        if self.metric is None:  # a surface, whose director angles are its state's
+            directors = ~self.target.rest.is_vertex
+            path.rest.array[directors] = path.state.array_r[directors]
+        return path
+
+    def _note(self, tao: PETSc.TAO, keep: Keep) -> None:
         """An iteration, counted from the first start."""
+        path = self.path
         iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
         if path.steps and path.steps[-1].objective == value:
             return  # a trial was rejected, or a search goes on from here: nothing is new
-        path.trail = objective.trail
-        path.steps.append(AdjointStep(before + iteration, value, gradient, path.trail[-1].sag))
-        path.forward_solves = solves[0] + objective.forward.solves
-        path.adjoint_solves = solves[1] + objective.adjoint_solves
-        if on_step:
-            on_step(path.steps[-1])
-        history = objective.carried
+        self._count()
+        path.steps.append(AdjointStep(self.before + iteration, value, gradient, path.trail[-1].sag))
+        if self.on_step:
+            self.on_step(path.steps[-1])
+        history, radius = (
+            self.objective.carried,
+            reach if iteration else self.radius,
+        )  # at its start TAO tells none
         keep(
             lambda: (
-                _packed(target, path)
-                | {"radius": np.array(reach if iteration else radius)}  # at its start TAO tells none
+                _packed(self.target, path)
+                | {"radius": np.array(radius)}
                 | (packed_history(history) if history else {})
             )
         )
 
-    tao = _optimiser(objective, z, radius, metric)
-    tao.setMaximumIterations(max(iterations - before, 0))
-    tao.setMonitor(note)
-    tao.setConvergenceTest(lambda tao: _settled(tao, path, first, before))
-    try:
-        tao.solve()
-        path.reason = tao.getConvergedReason()
-    finally:
-        tao.destroy()  # calls back to what holds it
-    path.trail = objective.trail
-    path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
-    design.set(path.rest)
-    if surface:
-        path.rest.array[~target.rest.is_vertex] = path.state.array_r[~target.rest.is_vertex]
-    path.forward_solves = solves[0] + objective.forward.solves
-    path.adjoint_solves = solves[1] + objective.adjoint_solves
-    return path
+    def _count(self) -> None:
+        """The path has the iterates and solves so far."""
+        path, (forward, adjoint) = self.path, self.solves
+        path.trail = self.objective.trail
+        path.forward_solves = forward + self.objective.forward.solves
+        path.adjoint_solves = adjoint + self.objective.adjoint_solves
 
 
 def _packed(target: Target, path: AdjointPath) -> Arrays:
