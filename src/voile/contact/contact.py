@@ -172,6 +172,7 @@ class Contact(NaturalMap):
             self.collect(p, partial(p.spread, *p.project()), total)
         return total
 
-    def linearise(self, x: Reals, t: float) -> Linearised:
-        """The laws' semismooth Newton equations at x and the present reactions."""
-        return Linearised(self, [Equations(self, p) for p in self.opening_pairs(x, t)])
+    def linearise(self, x: Reals, t: float, before: Linearised | None = None) -> Linearised:
+        """The laws' semismooth Newton equations at x and the present reactions, which those `before` have left."""
+        equations = [Equations(self, p) for p in self.opening_pairs(x, t)]
+        return Linearised(self, equations, before.doubted if before else {})

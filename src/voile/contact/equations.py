@@ -1,7 +1,7 @@
 """The semismooth Newton equations of Signorini's and Coulomb's laws for the reactions of all contacts."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ class Equations:
     def __init__(self, contact: NaturalMap, p: Pairs):
         self.p, self.mu = p, p.friction
         s, rho = contact.history, p.rho
+        self.partner, self.history = contact.partners[p.index], s
         self.penalty = contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
@@ -94,13 +95,25 @@ class Equations:
         turned = self.normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, slid)
         self.friction = self._chosen(self.friction - self.penalty * slid, turned)
 
+    def hold(self, doubted: Ints) -> Ints:
+        """What a step makes pull stays closed for one more, with its trial reaction, unless it is among the contacts
+        doubted then (codes); the codes of those that do. A step that turns a membrane stretches it to second order, and
+        that outweighs the reactions around: what opens for it closes in the next one, and so on."""
+        p = self.p
+        code = self.partner.codes(p.row, self.history)
+        pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted)
+        self.normal = np.where(pulls, self.pressed, self.normal)
+        return code[pulls]
+
 
 @dataclass
 class Linearised:
-    """Equations of all pairs that may carry a reaction."""
+    """Equations of all pairs that may carry a reaction. doubted: codes of contacts per partner that pull and are kept
+    closed, see `Equations.hold`."""
 
     contact: NaturalMap
     parts: list[Equations]
+    doubted: dict[int, Ints] = field(default_factory=dict)
 
     @property
     def symmetric(self) -> bool:
@@ -137,6 +150,8 @@ class Linearised:
         s = self.contact.history
         normal = [np.zeros_like(a) for a in s.normal]
         friction = [np.zeros_like(a) for a in s.friction]
+        none = np.zeros(0, dtype=np.int64)
+        self.doubted = {e.p.index: e.hold(self.doubted.get(e.p.index, none)) for e in self.parts}
         for e in self.parts:
             normal[e.p.index][e.p.row], friction[e.p.index][e.p.row] = e.normal, e.friction
         s.normal = [old + share * (new - old) for old, new in zip(s.normal, normal, strict=True)]

@@ -64,6 +64,10 @@ class ObstacleContact:
         """Rows of the contacts known by codes (p,): the vertices themselves."""
         return code
 
+    def codes(self, rows: Ints, history: History) -> Ints:
+        """(p,) by which some contacts are known."""
+        return rows
+
     def nearest(self, x: Reals, t: float, history: History) -> Reals:
         """(n,) gap (m) of each vertex."""
         return self.obstacle.gap(x, t) - self.offset
@@ -151,6 +155,10 @@ class SelfContact:
     def places(self, code: Ints, history: History) -> Ints:
         """Rows of the contacts known by codes (p,), which are among the candidates."""
         return np.searchsorted(history.candidates.code, code)
+
+    def codes(self, rows: Ints, history: History) -> Ints:
+        """(p,) by which some contacts are known, also when candidates are others."""
+        return history.candidates.code[rows]
 
     def nearest(self, x: Reals, t: float, history: History) -> Reals:
         """(local vertices,) least gap (m) of each vertex's contacts, the search's reach where there is none."""

@@ -101,7 +101,7 @@ class Iterate:
         """Iterates until SNES's convergence test says so; sets its reason. The reactions are in the contact's state."""
         problem = self.method.nonlinear.problem
         contact, matrix, most = contact_of(problem), self.work.matrix, snes.getTolerances()[3]
-        f, direction, states = snes.getFunction()[0], y.duplicate(), None
+        f, direction, states, linear = snes.getFunction()[0], y.duplicate(), None, None
         self.steps, kind = [], "exact"
         first, best, idle, stall = 0.0, np.inf, 0, Stall()
         held: tuple[State, float, int] | None = (
@@ -125,7 +125,7 @@ class Iterate:
             if it == most or idle > self.options.patience or stalled:
                 self.method.stalled = stalled
                 break
-            linear = contact.linearise(problem.positions(y), problem.time)
+            linear = contact.linearise(problem.positions(y), problem.time, linear)
             symmetric = problem.everywhere(linear.symmetric)
             problem.tangent(y, matrix, kind, linear.blocks())
             solver = self.work.symmetric if symmetric else self.work.unsymmetric
