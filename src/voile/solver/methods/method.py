@@ -51,11 +51,10 @@ class Workspace:
     """What the methods of a run share: the tangent's matrix with its linear solvers, the counts, and who watches
     descents' iterates.
 
-    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_. With
-    `inertia` both can iterate first (`iterate`), prefixes step_ and step_friction_.
+    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
     """
 
-    def __init__(self, problem: Problem, counts: Counts | None = None, inertia: bool = False):
+    def __init__(self, problem: Problem, counts: Counts | None = None):
         self.comm, self.monitor = problem.comm, problem.monitor
         self.watch: Callable[[PETSc.Vec], None] | None = None
         self.matrix, self.counts = problem.create_matrix(), counts or Counts()
@@ -65,41 +64,62 @@ class Workspace:
         ksp.setTolerances(rtol=LINEAR)
         use_cholesky(ksp.pc)
         ksp.setFromOptions()
-        self.inertia = inertia
-        direct = LinearSolver(ksp, self.counts)
-        self.symmetric = Iterative(direct, self.counts, "step_", problem.conservative) if inertia else direct
+        self.symmetric = self._eased(LinearSolver(ksp, self.counts), "step_", problem.conservative)
         self._unsymmetric: LinearSolver | None = None
 
     @property
     def unsymmetric(self) -> LinearSolver:
         """LU, made when it is first wanted."""
         if self._unsymmetric is None:
-            ksp = PETSc.KSP().create(comm=self.comm)
-            ksp.setOptionsPrefix("friction_")
-            ksp.setType(PETSc.KSP.Type.PREONLY)
-            use_lu(ksp.pc)
-            ksp.setFromOptions()
-            direct = LinearSolver(ksp, self.counts)
-            eased = Iterative(direct, self.counts, "step_friction_", symmetric=False)
-            self._unsymmetric = eased if self.inertia else direct
+            self._unsymmetric = self._make_unsymmetric()
         return self._unsymmetric
+
+    def _make_unsymmetric(self) -> LinearSolver:
+        ksp = PETSc.KSP().create(comm=self.comm)
+        ksp.setOptionsPrefix("friction_")
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        use_lu(ksp.pc)
+        ksp.setFromOptions()
+        return self._eased(LinearSolver(ksp, self.counts), "step_friction_", False)
+
+    def _eased(self, direct: LinearSolver, prefix: str, symmetric: bool) -> LinearSolver:
+        """What solves the systems of a direct solver."""
+        return direct
 
     @property
     def rough(self) -> bool:
-        """Whether Newton steps may be, and with the last factor (see `iterate`)."""
-        return isinstance(self.symmetric, Iterative) and self.symmetric.wanted > 0.0
+        """Whether Newton steps may be, and with the last factor."""
+        return False
 
     def careful(self) -> None:
         """Ends that Newton steps are rough."""
-        if isinstance(self.symmetric, Iterative):
-            self.symmetric.wanted = 0.0
+
+
+class InertialWorkspace(Workspace):
+    """Of steps in time, whose systems inertia makes easy: they can be iterated first, prefixes step_ and
+    step_friction_."""
+
+    def __init__(self, problem: Problem, counts: Counts | None = None):
+        self._iterative: list[Iterative] = []  # the symmetric one first
+        super().__init__(problem, counts)
+        self._unsymmetric = self._make_unsymmetric()
+
+    def _eased(self, direct: LinearSolver, prefix: str, symmetric: bool) -> LinearSolver:
+        self._iterative.append(Iterative(direct, self.counts, prefix, symmetric))
+        return self._iterative[-1]
+
+    @property
+    def rough(self) -> bool:
+        return self._iterative[0].wanted > 0.0
+
+    def careful(self) -> None:
+        self._iterative[0].wanted = 0.0
 
     def iterate(self, tries: bool, wanted: float = 0.0) -> None:
         """Whether systems are tried by iteration from here on, for a step of the tolerance `wanted` (N): those
         without contact or drag, whose Newton steps may then be rough."""
-        for solver in (self.symmetric, self.unsymmetric):
-            if isinstance(solver, Iterative):
-                solver.tries, solver.wanted = tries, wanted
+        for solver in self._iterative:
+            solver.tries, solver.wanted = tries, wanted
 
 
 class Iteration(Protocol):

@@ -16,7 +16,7 @@ from voile.solver.linear import Counts
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
 from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptions
 from voile.solver.methods.descent import Descent
-from voile.solver.methods.method import Method, Outcome, Workspace
+from voile.solver.methods.method import InertialWorkspace, Method, Outcome
 from voile.solver.methods.mixed_newton import MixedNewton
 from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.steps import Sharpened
@@ -34,7 +34,7 @@ class Iterated:
     """A method whose systems are tried by iteration first."""
 
     method: Method
-    work: Workspace
+    work: InertialWorkspace
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
@@ -51,7 +51,7 @@ class NewtonStep:
     """A method for the problems of steps, which have an inertia term."""
 
     def __init__(self, problem: Problem, options: Options | None = None):
-        self.work, self.options = Workspace(problem, inertia=True), options or Options()
+        self.work, self.options = InertialWorkspace(problem), options or Options()
         descent, methods = Descent(self.work), list[Method]()
         if problem.contact:
             semismooth = Semismooth(self.work)
