@@ -262,7 +262,7 @@ def test_all_runs_fail(study, tmp_path):
 
 
 def test_a_run_that_takes_too_long_is_ended(study, tmp_path):
-    text = FRONT.replace("repeats", "max_seconds = 8.0\nrepeats").replace("4]", "7]")
+    text = FRONT.replace("repeats", "max_seconds = 5.0\nrepeats").replace("4]", "7]")
     run = program("study", study(text), "-o", tmp_path / "out")
     assert run.returncode == 0
     assert table(tmp_path / "out")[2]["status"] == "too long"

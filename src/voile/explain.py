@@ -234,9 +234,17 @@ def _bending(shell: Shell) -> Bending | None:
 
 def explain(scene: Scene, model: Model) -> str:
     """The text of `voile explain`."""
-    shell = model.shell
     rows = modelled(scene, model)
     kept = {name for name, keep, _ in rows if keep}
+    width = max(len(name) for name, _, _ in rows)
+    told = [f"  {'+' if keep else '-'} {name:<{width}}  {reason}" for name, keep, reason in rows]
+    notes = [*model.notes, *(_advice(scene, model.shell) if "bending" in kept else ())]
+    return "\n".join([*_head(scene, model, kept), "", *told, *(f"  note: {note}" for note in notes)])
+
+
+def _head(scene: Scene, model: Model, kept: set[str]) -> list[str]:
+    """Mesh, unknowns, solver, memory, obstacles."""
+    shell = model.shell
     n, e = len(shell.points), len(shell.topology.edges)
     slaves = len(np.unique(shell.slave))
     displacement = 3 * (n - slaves) - int(shell.fixed.sum())
@@ -244,7 +252,7 @@ def explain(scene: Scene, model: Model) -> str:
     size = diagonal(shell.points)
     entries = (165 if angles else 85 if "bending" in kept else 32) * len(shell.triangles)
     factor = 24 * (displacement + angles) * max(np.log2(max(displacement + angles, 2)), 1.0)
-    lines = [
+    return [
         f"{scene.scene.name or scene.path}: {scene.scene.task}",
         f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m",
         f"file      {model.surface.source}{_refined(scene, model)}",
@@ -253,31 +261,32 @@ def explain(scene: Scene, model: Model) -> str:
         f"solver    {_solver(scene, model)}; PETSc options after --",
         f"blas      {blas.used()}",
         f"memory    about {(entries * 28 + factor * 8) / 2**20:.0f} MiB for matrix and factor",
-        f"thickness over size {shell.thickness.min() / max(size, 1e-300):.2e}",
+        f"thickness over size {_slenderness(shell):.2e}",
         *_obstacles(model),
-        "",
     ]
-    width = max(len(name) for name, _, _ in rows)
-    lines += [f"  {'+' if keep else '-'} {name:<{width}}  {reason}" for name, keep, reason in rows]
-    lines += [f"  note: {note}" for note in model.notes]
-    if MODELS[scene.shell.model].normals and not has_directors(shell.model) and _repeats_cells(shell):
-        lines.append(
-            f"  note: bending = {scene.shell.bending!r} need not converge on meshes of repeated cells such as this; "
-            "'tan' converges"
+
+
+def _slenderness(shell: Shell) -> float:
+    """Least thickness over the size."""
+    return float(shell.thickness.min() / max(diagonal(shell.points), 1e-300))
+
+
+def _advice(scene: Scene, shell: Shell) -> list[str]:
+    """Where another model bends this mesh better."""
+    spec, directors, notes = scene.shell, has_directors(shell.model), list[str]()
+    if MODELS[spec.model].normals and not directors and _repeats_cells(shell):
+        notes.append(
+            f"bending = {spec.bending!r} need not converge on meshes of repeated cells such as this; 'tan' converges"
         )
-    if "bending" in kept and not has_directors(shell.model):
-        found = _bending(shell)
-        (low, high), (least, most) = (
-            (found.of_cylinders(), found.of_all()) if found else ((1.0, 1.0), (1.0, 1.0))
-        )
+    found = None if directors else _bending(shell)
+    if found:
+        (low, high), (least, most) = found.of_cylinders(), found.of_all()
         if least < 1.0 - PLATE or most > 1.0 + PLATE:
-            lines.append(
-                f"  note: {scene.shell.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly to cylinders "
-                f"(by direction), {least:.2f} to {most:.2f} times to any shape (domes, saddles), as the plate of its "
-                "E, nu and h; model = 'koiter' with bending = 'tan' converges to that"
+            notes.append(
+                f"{spec.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly to cylinders (by direction), "
+                f"{least:.2f} to {most:.2f} times to any shape (domes, saddles), as the plate of its E, nu and h; "
+                "model = 'koiter' with bending = 'tan' converges to that"
             )
-    if "bending" in kept and (shell.thickness.min() / max(size, 1e-300)) ** 2 < STIFFNESS_RATIO:
-        lines.append(
-            "  note: bending stiffness is at round-off against stretching; consider model = 'membrane'"
-        )
-    return "\n".join(lines)
+    if _slenderness(shell) ** 2 < STIFFNESS_RATIO:
+        notes.append("bending stiffness is at round-off against stretching; consider model = 'membrane'")
+    return notes
