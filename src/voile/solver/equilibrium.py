@@ -31,6 +31,7 @@ from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransi
 from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.steps import Sharpened
 from voile.solver.methods.tied import Tied
+from voile.solver.multigrid import with_levels
 from voile.solver.nested import Nested, Promising, pays
 from voile.solver.path import StaticsOptions
 
@@ -44,6 +45,7 @@ class Solver:
     def __init__(self, problem: Problem, options: StaticsOptions, counts: Counts | None = None):
         self.problem, self.work = problem, Workspace(problem, counts)
         self.work.watch = options.watch
+        self.work.symmetric = with_levels(problem, self.work.symmetric)
         self.perturbation = options.perturbation * problem.thickness()
         self.descent = Descent(self.work)
         self.off_saddle: OffSaddle | None = None

@@ -126,6 +126,10 @@ class LinearSolver:
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """Factors the matrix, which preconditions systems with `operator` (by default the matrix itself); `usable`."""
         pc = self.ksp.pc
+        if pc.getType() == PETSc.PC.Type.MG:
+            raise InputError(
+                "PETSc options: pc_type mg has no levels here; allowed: in load steps of statics without contact"
+            )
         with self.counts.factorising():
             # A MUMPS instance that failed once stays as it is; PETSc 3.26 on several ranks keeps a pattern outgrown.
             if not self.usable or self._coupled != matrix.getAttr("coupled"):
@@ -157,6 +161,17 @@ class LinearSolver:
         """x = A^-1 b with the last matrix."""
         with self.counts.solving():
             self.ksp.solve(b, x)
+
+    def positive(self, matrix: PETSc.Mat) -> bool:
+        """Whether the matrix is positive definite, by its inertia: by a factor of its own where this one, chosen by
+        options, does not count."""
+        self.factor(matrix)
+        if self.negative is not None:
+            return self.negative == 0
+        solver = factored(matrix, self.counts)
+        negative = solver.negative
+        solver.destroy()
+        return negative == 0
 
     def destroy(self) -> None:
         """Frees the factor."""

@@ -31,13 +31,7 @@ def is_stable(work: Workspace, problem: Problem, y: PETSc.Vec) -> bool:
         contact_tangent(problem, y, work.matrix)
     else:
         problem.tangent(y, work.matrix)
-    work.symmetric.factor(work.matrix)
-    if work.symmetric.negative is None:  # chosen by options
-        solver = factored(work.matrix, work.counts)
-        negative = solver.negative
-        solver.destroy()
-        return negative == 0
-    return work.symmetric.negative == 0
+    return work.symmetric.positive(work.matrix)
 
 
 def kick(
