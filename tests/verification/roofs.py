@@ -49,12 +49,13 @@ def elastica(angle: float) -> tuple[float, float]:
     return (2.0 * quarter / np.pi) ** 2, modulus / quarter
 
 
-def clamped_dome(size: float, load: float, slope: float = 0.04, lam: float = 4.5) -> Shell:
-    """A shallow spherical cap of radius 1 at its clamped rim, whose slope there is `slope`, under `load` times the
+def clamped_dome(size: float, load: float, lam: float = 4.5, poisson: float = 0.3) -> Shell:
+    """A shallow spherical cap of radius 1 at its clamped rim, whose slope there is 0.04, under `load` times the
     classical pressure from above; lam^2 = sqrt(12 (1 - nu^2)) a^2 / (R h)."""
+    slope = 0.04
     radius = 1.0 / slope
-    thickness = np.sqrt(12.0 * (1.0 - 0.3**2)) / (lam**2 * radius)
-    pressure = load * 2e9 * (thickness / radius) ** 2 / np.sqrt(3.0 * (1.0 - 0.3**2))
+    thickness = np.sqrt(12.0 * (1.0 - poisson**2)) / (lam**2 * radius)
+    pressure = load * 2e9 * (thickness / radius) ** 2 / np.sqrt(3.0 * (1.0 - poisson**2))
     angle = np.linspace(0.0, 2.0 * np.pi, round(2.0 * np.pi / size), endpoint=False)
     flat, triangles = generator("patterns").unstructured(
         [np.column_stack([np.cos(angle), np.sin(angle)])], size
@@ -64,7 +65,7 @@ def clamped_dome(size: float, load: float, slope: float = 0.04, lam: float = 4.5
     rim = r > 1.0 - 1e-9
     fixed = np.repeat(rim[:, None], 3, axis=1)
     return make(
-        points, triangles, fixed, [rim], thickness=thickness, young=1e9, poisson=0.3, pressure=-pressure
+        points, triangles, fixed, [rim], thickness=thickness, young=1e9, poisson=poisson, pressure=-pressure
     )
 
 

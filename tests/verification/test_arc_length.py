@@ -118,6 +118,22 @@ def test_dome_under_pressure():
     assert (error[0] > 2.0 * error[-1]).all()
 
 
+@pytest.mark.parametrize(
+    ("lam", "poisson", "kind", "published", "bound"),
+    [(4.0, 0.3, "limit point", 0.563, 5e-3), (6.0, 1.0 / 3.0, "bifurcation", 0.775, 0.015)],
+)
+def test_dome_under_pressure_as_published(lam, poisson, kind, published, bound):
+    """Over the classical pressure: Teng & Rotter 1989, Comput. Struct. 31, 211-233 (axisymmetric snap); Huang 1964, J.
+    Appl. Mech. 31, 447-457 (to two waves round); both as tabulated in the examples of AQUINAS-FE."""
+    off = []
+    for size in (0.1, 0.06):
+        problem = Problem(roofs.clamped_dome(size, 1.0, lam, poisson), MPI.COMM_SELF)
+        _, critical = solve_arc(problem, StaticsOptions(), 0.85, 0)
+        assert critical[0].kind == kind
+        off.append(abs(critical[0].factor / published - 1.0))
+    assert off[1] < bound and off[1] < 0.7 * off[0]
+
+
 def test_cylinder_pull_out(shared):
     """Sze, Liu & Lo's whole curve, whose kink their loads in steps of 2.5 to 5 % pass."""
     table = json.loads((shared / "reference" / "sze-2004.json").read_text())["open_cylinder_pull_out"]
