@@ -26,6 +26,7 @@ STAGNANT = 0.5  # of the norm: a smaller decrease where round-off may hide the r
 IDLE = 10  # of them without a smaller residual
 CYCLING = 2  # of them after which a step must lessen it
 SHARES = 1.0, 0.5, 0.25, 0.125  # of a step, tried then
+CHORD = 0.01  # of the norm that a step leaves at most, after which its factor serves again: Newton's would do no better
 EASY = 5  # iterations after which the next step doubles
 NARROWEST = 1.0 / 64.0  # step of the way home from an equilibrium beside the target
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
@@ -202,6 +203,7 @@ class Direct:
         # then that of this start: a failed way may have left the matrix of a wild state
         noise = force_floor(problem)
         for it in range(MOST + 1):
+            before = norm
             y, norm = self._evaluate(z, f)
             if problem.monitor:
                 problem.monitor(fraction, it, norm)
@@ -222,7 +224,8 @@ class Direct:
             if not norm < WORST * loads or idle > IDLE:
                 break
             best = min(best, norm)
-            if not self._step(y, f, direction):
+            anew = before == math.inf or not norm <= CHORD * before
+            if not self._step(y, f, direction, anew):
                 return "dR/dX is singular", norm, it
             if it == 0:
                 noise = self.floor()
@@ -255,14 +258,15 @@ class Direct:
         """The problem's unknowns at the shape to be held, with z's director angles."""
         return self.rest.state(z) + self.moved
 
-    def _step(self, y: PETSc.Vec, f: PETSc.Vec, direction: PETSc.Vec) -> bool:
-        """Newton's direction D^-1 f; False where D is singular."""
-        self.linearise(y)
-        self.lu.setOperators(self.matrix)
-        self.lu.setUp()
-        if factorisation_error(self.lu):
-            self.lu.reset()
-            return False
+    def _step(self, y: PETSc.Vec, f: PETSc.Vec, direction: PETSc.Vec, anew: bool = True) -> bool:
+        """Newton's direction D^-1 f, with the last factor unless `anew`; False where D is singular."""
+        if anew:
+            self.linearise(y)
+            self.lu.setOperators(self.matrix)
+            self.lu.setUp()
+            if factorisation_error(self.lu):
+                self.lu.reset()
+                return False
         self.lu.apply(f, direction)
         return bool(np.isfinite(direction.norm()))
 

@@ -35,8 +35,8 @@ class Modes:
 
     def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[Reals, Reals, int]:
         """Up to `most` eigenvalues (1/s^2), in order, their modes (own, p) of unit mass, right where they are less than
-        a cut above the margin, and how many are below the margin; none where the tangent cannot be factored. The
-        tangent's diagonal is changed."""
+        a cut above the margin, and how many are below the margin: then they are only rough. None where the tangent
+        cannot be factored. The tangent's diagonal is changed."""
         add_mass(tangent, self.mass, -margin)
         nothing = np.zeros(0), np.zeros((len(self.block), 0)), 0
         if not self.factor.set(tangent):
@@ -50,7 +50,7 @@ class Modes:
             self.block = block
             wanted = max(int((values[: self.most] < cut).sum()), 1)
             change = np.abs(values - before)[:wanted] / max(min(cut, values[self.most - 1]), abs(values[0]))
-            if change.max() <= SETTLED and (values < 0.0).sum() == below:
+            if below or change.max() <= SETTLED:  # no place to stay: about how low is enough
                 break
         return values[: self.most] + margin, self.block[:, : self.most], below
 

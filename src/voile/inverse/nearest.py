@@ -17,7 +17,7 @@ each other, which the slopes of the eigenvalues do not tell. A trust region boun
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -27,8 +27,8 @@ from voile.arrays import Flags, Reals
 from voile.inverse.direct import Direct, DirectPath
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_search, unpacked_search
-from voile.inverse.nearest_path import NearestPath, NearestStep
-from voile.inverse.neighbours import Checkpoint, Move, Neighbours, Tangent
+from voile.inverse.nearest_path import Local, NearestPath, NearestStep, Trial
+from voile.inverse.neighbours import Checkpoint, Move, Neighbours
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
@@ -50,40 +50,11 @@ STUCK = 1e-3  # of the way: a shorter step of load is none
 POOR, FAIR, GOOD = 0.2, 0.4, 0.7  # quality of a step
 ANEW = 2  # proposals after one whose eigenvalues sank too far, before the radius shrinks
 SHARP = 5.0  # cuts within a thickness: what sinks faster is a mode that the model does not know
-SETTLED, FINE, EXACT = 0.3, 0.02, 0.005  # of the merit that a step could win: sag slight; way; answer
+# Of the merit that a step could win: sag slight; another margin tried; way; answer.
+SETTLED, ROUGH, FINE, EXACT = 0.3, 0.1, 0.02, 0.005
 STEPS, EXTRA = 300, 30  # of the way to the full load; from one margin to the next
+TRIED = 10  # of the latter, after which it is seen whether they will do
 PRECISE = 1e-5  # residual over the loads' norm, on the way
-
-
-@dataclass
-class Local:
-    """The model at a point, in units of `cut` (1/s^2), what all of the way adds to its matrix, the merit there and the
-    distance's part of it; moves are those of the tangent, and `loaded`, of length `reach`, for all of the way; `end`:
-    mu that settles there."""
-
-    model: Model
-    cut: float
-    rise: Reals
-    merit: float
-    half: float
-    tangent: Tangent
-    loaded: Move
-    reach: float
-    end: float
-
-
-@dataclass
-class Trial:
-    """A point proposed, a share of the way ahead, the length of the move to it, and the merit and the lowest eigenvalue
-    above the margin, in cuts, that its model has there; sink: of its eigenvalues by the square of the length, where it
-    is an equilibrium."""
-
-    point: Checkpoint
-    share: float
-    length: float
-    merit: float
-    lowest: float
-    sink: float | None = None
 
 
 class Clock:
@@ -307,14 +278,25 @@ class Nearest:
         for factor in LESS if holds else MORE:
             if holds and self._sag(found) <= SLIGHT:
                 break
-            self.budget = EXTRA
-            trial, reached = self.advance(found, 1.0, factor * found.margin)
+            trial, reached = self._with(factor * found.margin, found)
             if not reached or (holds and self._sag(trial) > IDLE * self._sag(found)):
                 break
             if firm(trial) != holds:
                 return found if holds else trial
             found = trial
         return found if holds else self.nearer(first)
+
+    def _with(self, margin: float, found: Checkpoint) -> tuple[Checkpoint, bool]:
+        """From a point to the nearest one with another margin and True, or to where it was given up: after a third of
+        the steps where these led less than a third of the way, or to one that wins little."""
+        self.budget = TRIED
+        trial, reached = self.advance(found, 1.0, margin, ROUGH)
+        done = (trial.margin - found.margin) / (margin - found.margin)
+        little = reached and margin < found.margin and self._sag(trial) > math.sqrt(IDLE) * self._sag(found)
+        if little or done <= TRIED / EXTRA:
+            return trial, False
+        self.budget += EXTRA - TRIED
+        return self.advance(trial, 1.0, margin)
 
     def nearer(self, point: Checkpoint) -> Checkpoint:
         """From a point that simulations leave, with whatever margin: the nearest that steps find which count the rest

@@ -1,8 +1,12 @@
-"""What the search for the nearest stable shape finds."""
+"""What the search for the nearest stable shape finds, and what a step of it goes by."""
 
 from dataclasses import dataclass
 
 from petsc4py import PETSc
+
+from voile.arrays import Reals
+from voile.inverse.neighbours import Checkpoint, Move, Tangent
+from voile.inverse.spectral import Model
 
 
 @dataclass
@@ -31,3 +35,34 @@ class NearestPath:
     steps: list[NearestStep]
     fraction: float = 1.0
     timed_out: bool = False
+
+
+@dataclass
+class Local:
+    """The model at a point, in units of `cut` (1/s^2), what all of the way adds to its matrix, the merit there and the
+    distance's part of it; moves are those of the tangent, and `loaded`, of length `reach`, for all of the way; `end`:
+    mu that settles there."""
+
+    model: Model
+    cut: float
+    rise: Reals
+    merit: float
+    half: float
+    tangent: Tangent
+    loaded: Move
+    reach: float
+    end: float
+
+
+@dataclass
+class Trial:
+    """A point proposed, a share of the way ahead, the length of the move to it, and the merit and the lowest eigenvalue
+    above the margin, in cuts, that its model has there; sink: of its eigenvalues by the square of the length, where it
+    is an equilibrium."""
+
+    point: Checkpoint
+    share: float
+    length: float
+    merit: float
+    lowest: float
+    sink: float | None = None

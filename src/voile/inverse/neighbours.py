@@ -335,9 +335,9 @@ class Neighbours:
         values, modes, below = self.modes.find(
             self.target.stiffness(self.go_to(point)), point.margin, self.cut
         )
-        if not len(values) or below > len(values):
+        if not len(values) or below > int((values < point.margin).sum()):
             return False
-        if len(values) == self.modes.most:
+        if not below and len(values) == self.modes.most:
             self.cut = min(self.cut, max(values[-1] - point.margin, self.slow))
         kept = max(int((values < point.margin + self.cut).sum()), 1)
         point.values, point.modes = values[:kept], [self._vector(mode) for mode in modes.T[:kept]]
