@@ -186,3 +186,26 @@ def test_a_tilted_sheet_lands_row_by_row():
     assert run.path.converged and {step.method for step in run.steps} <= {"prediction", "semismooth"}
     landing = [step.iterations for step in run.steps if step.contact["active"]]
     assert len(landing) > 5 and np.mean(landing) < 6.0
+
+
+def test_layers_that_start_too_near_keep_their_distance():
+    """Two sheets, half a thickness apart, fall and land together: nothing throws them apart."""
+    lower, triangles = sheet(4, 4, 0.2, 0.2)
+    upper = 0.8 * lower + np.array([0.023, 0.022, 0.0005])
+    points = np.vstack([lower, upper]) + np.array([0.0, 0.0, 0.002])
+    mesh = points, np.vstack([triangles, triangles + len(lower)])
+    result = voile.run(
+        {
+            "scene": {"task": "dynamics"},
+            "shell": {"mesh": mesh, "young": 1e5, "thickness": 1e-3, "density": 300.0, "bending": "average"},
+            "loads": {"gravity": [0.0, 0.0, -G]},
+            "obstacle": [
+                {"shape": "plane", "point": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "friction": 0.3}
+            ],
+            "contact": {"self_contact": True, "offset": 5e-4},
+            "dynamics": {"time_step": 2e-3, "duration": 0.03},
+        }
+    )
+    falls = result.points(5)[:, 2] - points[:, 2]
+    np.testing.assert_allclose(falls, -0.5 * G * 0.01 * 0.012, rtol=1e-9)
+    np.testing.assert_allclose(result.positions[len(lower) :, 2], 1e-3, atol=1e-9)

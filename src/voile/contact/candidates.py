@@ -4,7 +4,7 @@ Which pairs come near is asked of ipctk's broad phase. No step may carry one lay
 continuous collision detection), so the distance needs no sign: each layer stays on the side where it started.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import compress
 from typing import Any
 
@@ -40,7 +40,8 @@ class Layers:
 
     points (n, 3) m; triangles (m, 3); edges (e, 2); excluded (b, 2): vertices too near along the cloth to touch, or
     `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient; known (k,): codes of pairs,
-    ascending, that keep another distance apart (k,) m.
+    ascending, that keep another distance apart (k,) m; keeps: as do all that start nearer than the thickness, which a
+    motion is not to begin with throwing apart.
     """
 
     points: Reals
@@ -52,6 +53,7 @@ class Layers:
     caught: int = 0
     known: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     min_distance: Reals = field(default_factory=lambda: np.zeros(0))
+    keeps: bool = False
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
@@ -79,6 +81,15 @@ class Layers:
         corner, split = x[boxed.vertex], boxed.faces
         distance = [closest_to_triangle(corner[:split]).distance, edge_distance(corner[split:])]
         return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
+
+    def started(self, x: Reals) -> "Layers":
+        """The layers of a shell that starts at positions x (n, 3)."""
+        if not self.keeps:
+            return self
+        here = self.find(x)
+        distance = closest(here, x).distance
+        near = distance < self.thickness
+        return replace(self, known=here.code[near], min_distance=distance[near])
 
     def nearer(self, distance: float) -> Ints:
         """(b, 2) pairs of vertices across from each other in the pairs of the start nearer than distance (m)."""

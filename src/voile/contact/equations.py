@@ -21,7 +21,7 @@ class Equations:
         self.partner, self.history = contact.partners[p.index], s
         self.penalty = contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
-        self.active = p.gap <= contact.touch if fresh else p.lam_n > 0.0
+        self.active = p.gap <= contact.reach(p.index) if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
         self.friction = within(p.unit, s.friction[p.index][p.row])
         size = np.maximum(lengths(p.lam_t), 1e-300)

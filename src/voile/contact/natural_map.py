@@ -45,6 +45,7 @@ class NaturalMap:
     itself: SelfContact | None = None
     pliable: float = np.inf
     inertia: float = 0.0  # N/m, that of a vertex over a step in time
+    fall: float = 0.0  # m, that the loads lead a free vertex in a step in time
     history: History = field(init=False)
     layers: float = LAYERS  # factor on that of the shell against itself
     most: float = np.inf  # N/m, of rho
@@ -78,6 +79,11 @@ class NaturalMap:
             yield
         finally:
             self.layers, self.most = LAYERS, np.inf
+
+    def reach(self, k: int) -> float:
+        """Gap (m) to partner k within which a contact without a reaction may carry one. Where none does yet, that is as
+        far as free vertices fall in the step, for a gap at the start is none only to the digits of the mesh."""
+        return self.touch if self.history.normal[k].any() else max(self.touch, self.fall)
 
     @property
     def opening(self) -> float:
@@ -196,7 +202,7 @@ class NaturalMap:
             self.history = partner.renewed(wide, self.history, k)
         s = self.history
         gap = partner.gaps(wide, t, s)
-        near = s.normal[k] - rho * gap >= -rho * self.touch
+        near = s.normal[k] - rho * gap >= -rho * self.reach(k)
         if frozen:
             near |= (s.tresca[k] > 0.0) & np.isfinite(gap)
         rows = np.flatnonzero(near & partner.movable(s))

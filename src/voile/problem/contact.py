@@ -104,6 +104,7 @@ def _on_itself(problem: Problem, layers: Layers, movable: Flags) -> SelfContact:
     free: Flags = gather(movable)
     carried = part.supports.between(0.0, 1.0)
     layers.check_start(start)
+    layers = layers.started(start)
     end: Reals = start + gather(carried[: part.points.size].reshape(-1, 3))
     for x in (start, end):
         layers.check_held(x, free)

@@ -114,6 +114,7 @@ class Run:
             return None
         if self.model and shell is not None:
             layers = shell_layers(shell, self.model.offset, contact.self_friction)
+            layers.keeps = self.scene.scene.task == "dynamics"
             if layers.caught:
                 self.note(
                     f"contact.self_contact: {layers.caught} pairs of vertices start nearer than the seams gape, a "

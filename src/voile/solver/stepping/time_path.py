@@ -260,6 +260,7 @@ class Stepper:
             prediction = prediction.where(bearing, euler)
             if problem.contact:
                 problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
+                problem.contact.fall = self.fall * h**2
             step = forces.balance(prediction)
             wanted = wanted or self._wanted(step, prediction)
             outcome = self.solver.solve(step, self.y, wanted)
