@@ -74,8 +74,8 @@ class Solver:
         rough = Descent(work, DescentOptions(patience=ROUGH_PATIENCE), "transient_")
         transient = PseudoTransient(work, rough, self.semismooth, off)
         self.watched = WatchedTransient(work, rough, self.semismooth, off)
-        firm = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
-        self.off_saddle = OffSaddle(work, firm, transient, off)
+        stiff = AugmentedLagrangian(descent, self.semismooth, off, LagrangianOptions(softest=1.0))
+        self.off_saddle = OffSaddle(work, stiff, transient, off)
         contact = contact_of(problem)
         near: list[Method] = [tied, first]
         later: list[Method] = [transient]

@@ -58,7 +58,7 @@ class Inequality:
     """One solve's candidates, vectors and matrices. Gaps enter as forces, times the shell's own stiffness."""
 
     def __init__(self, problem: Problem, contact: Contact, tangent: PETSc.Mat, y: PETSc.Vec):
-        self.problem, self.contact, self.tangent, self.home = problem, contact, tangent, y
+        self.problem, self.contact, self.tangent, self.y = problem, contact, tangent, y
         x = problem.positions(y)
         own = problem.own & contact.movable
         gaps = [contact.gap(k, x, problem.time) for k in range(len(contact.obstacles))]
@@ -71,7 +71,7 @@ class Inequality:
         """Solves from the present unknowns and reactions; leaves both at the last iterate."""
         z = self.unknowns
         state = self.contact.history
-        z.array[: self.split] = self.home.array_r
+        z.array[: self.split] = self.y.array_r
         z.array[self.split :] = np.concatenate([state.normal[k][v] for k, v in enumerate(self.pairs)])
         low, high = z.duplicate(), z.duplicate()
         low.set(-np.inf)
@@ -96,7 +96,7 @@ class Inequality:
     def _take(self, z: PETSc.Vec) -> None:
         """Unknowns and reactions of z become the present ones, on all ranks that see a candidate's vertex."""
         problem, state = self.problem, self.contact.history
-        self.home.array[:] = z.array_r[: self.split]
+        self.y.array[:] = z.array_r[: self.split]
         state.friction = [np.zeros_like(a) for a in state.friction]
         place = np.full(
             int(problem.comm.allreduce(int(problem.part.vertex.max(initial=-1)), op=MPI.MAX)) + 1, -1
@@ -114,7 +114,7 @@ class Inequality:
     def _residual(self, _snes: PETSc.SNES, z: PETSc.Vec, f: PETSc.Vec) -> None:
         self._take(z)
         problem, contact = self.problem, self.contact
-        x, part = problem.positions(self.home), self.home.duplicate()
+        x, part = problem.positions(self.y), self.y.duplicate()
         forces = np.zeros_like(x)
         gaps = []
         for k, obstacle in enumerate(contact.obstacles):
@@ -122,7 +122,7 @@ class Inequality:
             _, gradient, _ = obstacle.gap_derivatives(x[pressed], problem.time)
             forces[pressed] += contact.history.normal[k][pressed, None] * gradient
             gaps.append(contact.gap(k, x, problem.time, self.pairs[k]))
-        problem.residual(self.home, part, forces)
+        problem.residual(self.y, part, forces)
         f.array[: self.split] = part.array_r
         f.array[self.split :] = contact.stiffness * np.concatenate(gaps)
 
@@ -133,14 +133,14 @@ class Inequality:
     def _jacobian_at(self, z: PETSc.Vec) -> PETSc.Mat:
         self._take(z)
         problem, contact = self.problem, self.contact
-        x, factor = problem.positions(self.home), problem.time
+        x, factor = problem.positions(self.y), problem.time
         curved, rows = [], []
         for k, obstacle in enumerate(contact.obstacles):
             pressed = np.flatnonzero(contact.history.normal[k])
             _, _, curvature = obstacle.gap_derivatives(x[pressed], factor)
             curved.append((pressed, -contact.history.normal[k][pressed, None, None] * curvature))
             rows.append((self.pairs[k], obstacle.gap_derivatives(x[self.pairs[k]], factor)[1]))
-        problem.tangent(self.home, self.tangent, "exact", curved)
+        problem.tangent(self.y, self.tangent, "exact", curved)
         gap_rows = self._gap_rows(rows)
         push = PETSc.Mat()
         gap_rows.transpose(push)

@@ -186,7 +186,7 @@ class PseudoTransient:
     ) -> bool | None:
         """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
         many iterations); None where it failed. room: see `_room`."""
-        options, contact, home = self.options, contact_of(problem), y.copy()
+        options, contact, begun = self.options, contact_of(problem), y.copy()
         fresh = self._fresh(problem)
         contact.freeze(problem.positions(y), problem.time)
         f = y.duplicate()
@@ -197,7 +197,7 @@ class PseudoTransient:
         astray = self._astray(problem)
 
         def too_far(at: PETSc.Vec) -> bool:
-            return fresh and problem.largest_motion(difference(at, home)) > room
+            return fresh and problem.largest_motion(difference(at, begun)) > room
 
         def vain(at: PETSc.Vec) -> bool:
             return too_far(at) or bool(astray and astray(at))

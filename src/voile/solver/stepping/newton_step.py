@@ -55,8 +55,8 @@ class NewtonStep:
         descent, methods = Descent(self.work), list[Method]()
         if problem.contact:
             semismooth = Semismooth(self.work)
-            firm = AugmentedLagrangian(descent, semismooth, 0.0, LagrangianOptions(softest=1.0))
-            methods = [Iterated(semismooth, self.work), Iterated(firm, self.work)]
+            stiff = AugmentedLagrangian(descent, semismooth, 0.0, LagrangianOptions(softest=1.0))
+            methods = [Iterated(semismooth, self.work), Iterated(stiff, self.work)]
         else:
             mixed = MixedNewton(self.work)
             methods = [
