@@ -1,7 +1,7 @@
 """A garment of sewn flat panels with fewer vertices: panels meshed anew, seams and draped positions carried over."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import igl
@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "meshes"))
 from patterns import unstructured
 
 SHARP = np.radians(35.0)  # corners of a panel's outline that turn by more stay
+CLOSED, MOST_CLOSINGS = 1e-15, 200  # m; chains of stitches take some tens
 
 
 @dataclass
@@ -107,6 +108,22 @@ def coarser(dress: Sewn, size: float) -> Sewn:
         count += len(flat)
     stitches = _stitches(dress, outlines, number)
     return Sewn(np.concatenate(points), np.concatenate(uv), np.concatenate(triangles), *stitches)
+
+
+def closed(dress: Sewn) -> Sewn:
+    """The dress with both sides of each seam moved half the way to each other, again until none gapes."""
+    points = dress.points.copy()
+    for _ in range(MOST_CLOSINGS):
+        widest = 0.0
+        for i, (j, k, w) in dress.partner.items():
+            gap = (1.0 - w) * points[j] + w * points[k] - points[i]
+            widest = max(widest, float(np.linalg.norm(gap)))
+            points[i] += 0.5 * gap
+            points[j] -= 0.5 * (1.0 - w) * gap
+            points[k] -= 0.5 * w * gap
+        if widest < CLOSED:
+            break
+    return replace(dress, points=points)
 
 
 def _seam_ends(dress: Sewn, loops: list[np.ndarray]) -> np.ndarray:
