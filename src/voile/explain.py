@@ -264,8 +264,8 @@ def _head(scene: Scene, model: Model, kept: set[str]) -> list[str]:
     entries = (165 if angles else 85 if "bending" in kept else 32) * len(shell.triangles)
     by_levels = _by_levels(scene, model, displacement + angles)
     factor = 24 * (displacement + angles) * max(np.log2(max(displacement + angles, 2)), 1.0)
-    # Of multigrid the levels' matrices: measured 5 kB per triangle in all for plates of 60,000 and 250,000.
-    needs = entries * 60 if by_levels else entries * 28 + factor * 8
+    # Of multigrid the levels' matrices: measured 5 to 6 kB per triangle in all for plates of 60,000 to 1,000,000.
+    needs = entries * 75 if by_levels else entries * 28 + factor * 8
     return [
         f"{scene.scene.name or scene.path}: {scene.scene.task}",
         f"mesh      {n} vertices, {len(shell.triangles)} triangles, {e} edges, size {size:.4g} m",
