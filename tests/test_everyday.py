@@ -12,7 +12,7 @@ from everyday_runs import Ending, end, faults, run, study
 from hinges import crossings, fold_angles, inside_out
 from mesh_helpers import generator
 
-from voile.mesh import build_topology
+from voile.mesh import build_topology, topology
 from voile.scene import read_scene
 from voile.wiring import build_model
 
@@ -37,6 +37,7 @@ def test_vertices_inside_out_are_those_with_an_odd_number_of_hinges_past_180_deg
     count[sides[across < 0]] = 0
     assert (count % 2).sum() > 3
     assert list(inside_out(points + way, t)) == list(np.flatnonzero(count % 2))
+    assert list(np.flatnonzero(topology.inside_out(points + way, t))) == list(inside_out(points + way, t))
     steps = angles[::500]
     assert sum(itertools.starmap(crossings, itertools.pairwise(steps))) > 0
     assert not len(inside_out(points, t)) and not crossings(angles[0], angles[0])

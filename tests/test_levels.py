@@ -7,11 +7,12 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
 from test_problem import make_shell, sewn_panels, sheet
 
 from voile.mesh import Stitches, boundary_loops, read_mesh, read_rest, sewing_matrix
 from voile.mesh.checks import flat_triangles
-from voile.mesh.topology import build_topology
+from voile.mesh.topology import build_topology, inside_out
 from voile.problem.levels import Prolongation, coarsen
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell, triangle_areas
@@ -303,3 +304,32 @@ def test_no_level_where_nothing_may_go():
     assert coarsen(make_shell(points, triangles)) is None
     fixed = make_shell(*sheet(8, 8))
     assert coarsen(replace(fixed, moment=np.ones(fixed.triangles.size))) is None
+
+
+def crumpled(points: np.ndarray, seed: int) -> np.ndarray:
+    """Folded by 150 degrees within 2 cm along each of three lines at random, one after the other."""
+    random, x = np.random.default_rng(seed), points.copy()
+    for _ in range(3):
+        line = random.uniform(0.0, 2.0 * np.pi)
+        across = np.array([np.cos(line), np.sin(line), 0.0])
+        middle = np.array([0.5, 0.5, 0.0]) + 0.2 * random.normal(size=3) * [1.0, 1.0, 0.0]
+        angle = np.radians(150.0) * np.clip((x - middle) @ across / 0.02, 0.0, 1.0)
+        turn = Rotation.from_rotvec(angle[:, None] * np.cross([0.0, 0.0, 1.0], across))
+        x = middle + turn.apply(x - middle)
+    return x
+
+
+def test_few_vertices_turn_inside_out_beside_sharp_folds_of_a_level(monkeypatch):
+    """Least bending alone loops there, and hinges that passed 180 degrees stay so."""
+    points, triangles = sheet(24, 24)
+    coarse, up = coarsen(make_shell(points, triangles), 0.25)
+    shapes = [crumpled(coarse.points, seed) for seed in range(12)]
+
+    def turned() -> list[int]:
+        return [int(inside_out(up.positions(shape), triangles).sum()) for shape in shapes]
+
+    righted = turned()
+    monkeypatch.setattr(Prolongation, "_righted", lambda _, fine, start: fine)
+    loose = turned()
+    assert sum(loose) > 15 and sum(righted) < 0.6 * sum(loose)
+    assert all(np.less_equal(righted, loose)) and righted.count(0) > loose.count(0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 
 
 @dataclass(frozen=True)
@@ -89,3 +89,47 @@ def _next_boundary(half: int, across: Ints) -> int:
         if other < 0:
             return 3 * triangle + corner
         triangle, corner = divmod(int(other), 3)
+
+
+def inside_out(points: Reals, triangles: Ints) -> Flags:
+    """(n,) inner vertices around which an odd number of hinges has turned through 180 degrees since the sheet was flat.
+
+    A walk once around a vertex turns by the corners about the normals and by the folds about the edges. It ends as it
+    began, as a quaternion -1 where the sheet is flat: bending keeps that, a hinge that passes 180 degrees makes it 1.
+    """
+    across, n = build_topology(triangles).across, len(points)
+    first, second = (_unit(points[np.roll(triangles, -k, axis=1)] - points[triangles]) for k in (1, 2))
+    corner = np.arctan2(np.linalg.norm(np.cross(first, second), axis=2), (first * second).sum(axis=2))
+    normal = _unit(np.cross(first[:, 0], second[:, 0]))[:, None]
+    beyond, edge = normal[across // 3, 0], np.roll(first, -1, axis=1)
+    fold = np.arctan2((np.cross(normal, beyond) * edge).sum(axis=2), (normal * beyond).sum(axis=2))
+    # from corner k one leaves the triangle by the edge to corner k + 2, opposite corner k + 1
+    leaves = np.roll(across, -1, axis=1).ravel()
+    following = np.where(leaves < 0, -1, 3 * (leaves // 3) + (leaves + 1) % 3)
+    half, other = 0.5 * corner.ravel(), 0.5 * np.roll(fold, -1, axis=1).ravel()
+    steps = np.stack([trig(half) * also(other) for trig, also in _Z_THEN_X], axis=1)
+    start = np.full(n, -1)
+    start[triangles.ravel()] = np.arange(triangles.size)
+    turn, at, walks = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), start.copy(), start >= 0
+    while walks.any():
+        rows = np.flatnonzero(walks)
+        turn[rows] = _product(turn[rows], steps[at[rows]])
+        at[rows] = following[at[rows]]
+        walks[rows] = (at[rows] >= 0) & (at[rows] != start[rows])
+    found: Flags = (turn[:, 0] > 0.0) & (start >= 0) & (at >= 0)
+    return found
+
+
+# Components of a turn about z and then about x, of both halved angles.
+_Z_THEN_X = (np.cos, np.cos), (np.cos, np.sin), (np.sin, np.sin), (np.sin, np.cos)
+
+
+def _product(p: Reals, q: Reals) -> Reals:
+    """(n, 4) of quaternions."""
+    a, u, b, v = p[:, :1], p[:, 1:], q[:, :1], q[:, 1:]
+    return np.hstack([a * b - (u * v).sum(axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
+
+
+def _unit(vectors: Reals) -> Reals:
+    unit: Reals = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return unit

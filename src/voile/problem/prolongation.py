@@ -4,13 +4,15 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from voile.arrays import Ints, Reals
-from voile.mesh.topology import build_topology
+from voile.mesh.topology import build_topology, inside_out
 from voile.problem.shell import Shell
 
 TENSION = 0.01  # of the stiffness of a bend of one edge: makes the form definite, changes no shape
+ROUNDS = 4  # of righting; everyday scenes need one, a crumpled dress not even eight
 
 
 class Prolongation:
@@ -44,8 +46,9 @@ class Prolongation:
     def positions(self, coarse: Reals, load_factor: float | None = None) -> Reals:
         """(nf, 3) m the fine shape to a coarse one (nc, 3).
 
-        Kept vertices are where the coarse ones are; between them the surface bends least, measured on the fine rest
-        shape. What the start shape has beyond that turns with the surface, so a coarse start shape gives the fine one.
+        Kept vertices are where the coarse ones are, but for those that would be inside out; between them the surface
+        bends least, measured on the fine rest shape. What the start shape has beyond that turns with the surface, so a
+        coarse start shape gives the fine one.
         With a load factor what is supported is where its supports take it.
         """
         start = start_shape(self._fine)
@@ -53,9 +56,34 @@ class Prolongation:
         beyond = start - self._smooth(home)
         fine: Reals = self._smooth(coarse) + np.einsum("nij,nj->ni", self._turns(home, coarse), beyond)
         fine[self.kept] = coarse
+        fine = self._righted(fine, start)
         if load_factor is not None:
             fine = np.where(self._fine.fixed, start + load_factor * self._fine.motion, fine)
         return fine
+
+    def _righted(self, fine: Reals, start: Reals) -> Reals:
+        """(nf, 3) a fine shape, but stars of vertices that it turns inside out, as beside a level's sharp folds, moved
+        rigidly from the start, and then those around them while there are others: no later step would right them."""
+        triangles = self._fine.triangles
+        was, moved = inside_out(start, triangles), np.zeros(len(fine), dtype=bool)
+        edges = np.roll(triangles, 1, axis=1).ravel(), triangles.ravel()
+        near = sp.csr_matrix((np.ones(triangles.size), edges), shape=(len(fine),) * 2)
+        near += near.T + sp.identity(len(fine), format="csr")
+        turned = inside_out(fine, triangles) != was
+        best, fewest = fine, turned.sum()
+        for _ in range(ROUNDS):
+            if fewest == 0:
+                break
+            moved = near @ (moved | turned) > 0
+            rows, found = np.flatnonzero(moved), fine.copy()
+            stars = connected_components(near[rows][:, rows], directed=False)[1]
+            for star in range(stars.max() + 1):
+                one = rows[stars == star]
+                found[one] = _moved(start[one], fine[one])
+            turned = inside_out(found, triangles) != was
+            if turned.sum() < fewest:
+                best, fewest = found, turned.sum()
+        return best
 
     def _turns(self, home: Reals, coarse: Reals) -> Reals:
         """(nf, 3, 3) how the surface at the fine vertices turns from one coarse shape (nc, 3) to another: as the facets
@@ -132,6 +160,14 @@ def _bases(corners: Reals) -> Reals:
     normal = np.cross(one, two)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     return np.stack([one, two, normal], axis=2)
+
+
+def _moved(points: Reals, near: Reals) -> Reals:
+    """(n, 3) points moved rigidly, as near as may be to others."""
+    middle, there = points.mean(axis=0), near.mean(axis=0)
+    rotation = _rotation(((near - there).T @ (points - middle))[None])[0]
+    moved: Reals = there + (points - middle) @ rotation.T
+    return moved
 
 
 def _rotation(matrix: Reals) -> Reals:
