@@ -8,10 +8,12 @@ from mpi4py import MPI
 from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell, seam_gaps
+from voile.solver.linear import use_cholesky
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.descent import Options as DescentOptions
 from voile.solver.methods.method import Workspace
 from voile.solver.methods.steps import Step
+from voile.solver.multigrid import asked
 
 MODEL = "discrete-shells//"  # finite at any fold and stiffer the sharper it is, no edge unknowns
 STIFFENING = 10.0  # of the thickness at equal stretching stiffness: seams close in smooth folds
@@ -57,7 +59,10 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
         )
     problem = Problem(loose, comm)
     problem.elastic.passes = True  # panels that are drawn together lie through each other at first
-    descent = Descent(Workspace(problem), DescentOptions(shift=slow_rate(problem)))
+    work = Workspace(problem)
+    if asked():  # levels are for load steps, of the sewn shell
+        use_cholesky(work.symmetric.ksp.pc)
+    descent = Descent(work, DescentOptions(shift=slow_rate(problem)))
     y = problem.create_vector()
     descent.run(problem, y, 0.0, MOST_STEPS, settled=_settled)
     u, _ = problem.local(y)
