@@ -114,6 +114,13 @@ def test_a_scene_is_run_and_judged():
     assert found.newton_iterations and found.energy is not None and found.energy < 0.0
 
 
+def test_a_smooth_path_goes_on_as_it_went():
+    """A strip whose ends draw near over a box: 169 iterations with the tangent's prediction, 85 with the secant's."""
+    found = end(everyday(286), Path(sys.executable), LIMIT)
+    assert found.outcome == "stable" and found.energy == pytest.approx(0.0024833486939, rel=1e-6)
+    assert found.newton_iterations and found.newton_iterations < 120
+
+
 # ---- what is asked ----
 
 

@@ -5,6 +5,7 @@ the reactions are updated (a Tresca fixed point; Simo & Laursen 1992) and the se
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
@@ -22,16 +23,19 @@ from voile.solver.methods.steps import to_round_off
 @dataclass
 class Options:
     """updates of the reactions. roughest: first tolerance of the descents over the last, a hundredth of the loads.
-    softest: contact's stiffness in the first descent over the shell's, so that its front moves over many vertices at
-    once; hardening: its factor per update. Seven sheets whose supports move took 13,700 factorisations from 1e-4,
-    8,000 from 1e-2, more from 1; others as many. iterations of a descent. astray: sizes of the shell, a depth in an
-    obstacle on the straight way: of 15 everyday scenes all and only those came so deep that pseudo-time had to solve
-    again."""
+    softest: contact's stiffness in the first descents over the shell's, so that its front moves over many vertices at
+    once. Seven sheets whose supports move took 13,700 factorisations from 1e-4, 8,000 from 1e-2, more from 1; others as
+    many. hardening: its factor after an update of which the laws miss more than `enough` of what they missed at the
+    one before, as in algorithm 17.4 of Nocedal & Wright (2006). What is as stiff at once as the shell's membrane makes
+    descents of cloths creep: hundreds of steps of a thousandth. iterations of a descent. astray: sizes of the shell, a
+    depth in an obstacle on the straight way: of 15 everyday scenes all and only those came so deep that pseudo-time
+    had to solve again."""
 
     updates: int = 15
     roughest: float = 1e6
     softest: float = 1e-2
-    hardening: float = 100.0
+    hardening: float = 10.0
+    enough: float = 0.25
     iterations: int = 300
     astray: float = 0.02
 
@@ -60,21 +64,23 @@ class AugmentedLagrangian:
         rough = options.roughest * tolerance
         if not contact.itself:
             perturb(problem, y, self.perturbation)
+        missed = np.inf
         for _ in range(options.updates):
             held = problem.with_terms(potential)
             astray = Astray(held, options.astray) if problem.held else None
             done = self.descent.run(held, y, max(tolerance, rough), options.iterations, astray)
             if not done and not to_round_off(held, y, self.descent.nonlinear.norm, max(tolerance, rough)):
                 return self.descent.nonlinear.missed(self.name, y)
+            before, missed = missed, law_norms(problem, y, y.duplicate(), tolerance)[1]
             potential.update(problem.point(y))
-            potential = replace(potential, softness=min(options.hardening * potential.softness, 1.0))
-            settled = self.descent.nonlinear.iterations <= 2 or potential.softness == 1.0
-            if settled and (found := self._finish(problem, y, tolerance)).converged:
+            if (found := self._finish(problem, y, tolerance)).converged:
                 return replace(found, method=self.name)
+            if missed > options.enough * before:
+                potential = replace(potential, softness=min(options.hardening * potential.softness, 1.0))
             rough *= 0.1
-        missed = self.descent.nonlinear.missed(self.name, y)
-        reason = f"{options.updates} updates of the reactions did not converge; {missed.reason}"
-        return replace(missed, reason=reason)
+        failed = self.descent.nonlinear.missed(self.name, y)
+        reason = f"{options.updates} updates of the reactions did not converge; {failed.reason}"
+        return replace(failed, reason=reason)
 
     def _finish(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """The equilibrium that the updated reactions are those of, or near enough for the semismooth method."""

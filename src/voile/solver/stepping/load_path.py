@@ -80,6 +80,8 @@ class LoadPath:
         self.control = StepControl(first, cuts, cap=0.0 if contact else 1.0, marks=marks)
         self.edge = edge_length(problem) / problem.size()
         self.moving = problem.moves or bool(contact and contact.moves)
+        self.went: PETSc.Vec | None = None  # the last load step's motion, over that much of the load
+        self.over = 0.0
 
     def follow(
         self, on_step: Progress | None, on_pause: Pause | None = None, found: Arrays | None = None
@@ -103,8 +105,7 @@ class LoadPath:
             if problem.contact and problem.contact.moves and not problem.held:
                 self._carry()
             elif problem.contact and self._driven() > self.options.far * self.edge:
-                most = self.options.jump * self._expected()
-                predict(self.solver.work, problem, self.y, control.factor, most)
+                self._predict()
             done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
@@ -119,6 +120,7 @@ class LoadPath:
                 if finished is None:
                     continue
                 done = finished
+                self.went, self.over = difference(y, problem.unknowns_of(start)), problem.time - start.time
             else:
                 if control.target == 1.0 and self.asked.stability:
                     done = self._settle(done)
@@ -145,8 +147,10 @@ class LoadPath:
 
     def _packed(self) -> Arrays:
         """What the path goes on from, between two steps."""
-        state = packed_state(self.problem.save(self.y))
-        return state | packed_path(self.path, control=vars(self.control) | {"options": None})
+        found = packed_state(self.problem.save(self.y))
+        if self.went is not None:
+            found |= {"went": self.went.array_r.copy(), "over": np.array(self.over)}
+        return found | packed_path(self.path, control=vars(self.control) | {"options": None})
 
     def _go_on(self, found: Arrays) -> None:
         """Where `_packed` was called."""
@@ -155,6 +159,9 @@ class LoadPath:
         self.problem = self.problem.at(self.control.factor)
         self.problem.restore(self.y, unpacked_state(self.problem, found, self.control.factor))
         self.y.copy(self.path.state)
+        if "went" in found:
+            self.went, self.over = self.problem.create_vector(), float(found["over"])
+            self.went.array[:] = found["went"]
 
     def _watch(self, start: State) -> None:
         """Remembers a jump of a step without contact."""
@@ -282,6 +289,14 @@ class LoadPath:
         if (pressing[most] or beside[most]) and contact.obstacles[most].friction > 0.0:
             there = contact.obstacles[most].carry(x, control.factor, control.target)
             y.axpy(1.0, field_vector(problem, there - x))
+
+    def _predict(self) -> None:
+        """Moves the shell towards the equilibrium at the problem's load factor, no further than by what a jump is over
+        the supports' own motion: a step that fell on an obstacle is not made again."""
+        control, went, most = self.control, None, self.options.jump * self._driven()
+        if self.went is not None:
+            went = self.went * ((control.target - control.factor) / self.over)
+        predict(self.solver.work, self.problem, self.y, control.factor, most, went)
 
     def _expected(self) -> float:
         """Motion in sizes of the shell that the next load step should make: that of the step before, of supports, or

@@ -1,8 +1,12 @@
-"""Euler's predictor of a load step: where an equilibrium goes with its supports and obstacles, to first order.
+"""Predictors of a load step: where an equilibrium goes with its supports and obstacles, to first order.
 
 Put to their new places at once, supports strain the triangles beside them by their whole motion, which Newton's
 method then has to take out again: a sheet pinned at a corner, led over a ball, took five times as many factorisations.
+A smooth path goes on as it went in the load step before (secant), whatever sticks or slips and however soft the shell
+is. After a snap, and at the start, the tangent leads it (Euler).
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 from petsc4py import PETSc
@@ -21,31 +25,46 @@ from voile.solver.methods.steps import descent_direction
 
 # Of a load step, from which forces' rates are taken: far above round-off, of next to no curvature.
 SHARE = 1e-4
+NEAR = 0.03  # of the start's norm, under which a prediction needs no other: as good ones start Newton's method alike
 
 
-def predict(work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float) -> None:
+def predict(
+    work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float, went: PETSc.Vec | None
+) -> None:
     """Moves y from an equilibrium at the time `began` towards that at the problem's, where no motion is more than
-    `most` sizes and the shell out of balance by less than where it was. Nothing slides that the load step does not
-    move: where the tangent is not positive definite the safe one serves, with some mass."""
-    before, force, there = problem.at(began), y.duplicate(), y.duplicate()
-    rate, step = _rate(before, problem, y), y.duplicate()
-    blocks, carried = _contacts(before, problem, y)
-    rate.array[:] -= problem.layout.collect(problem.point(y).over_dofs(carried))
+    `most` sizes and the shell out of balance by less than where it was. went: the load step before, as far as this one
+    goes."""
+    before, force, there, best = problem.at(began), y.duplicate(), y.duplicate(), y.copy()
     problem.residual(y, force)
-    least = force.norm()
-    for kind, shift in (("exact", 0.0), ("safe", slow_rate(problem))):
-        before.tangent(y, work.matrix, kind, blocks, shift)
-        work.symmetric.factor(work.matrix)
-        if not work.symmetric.usable or work.symmetric.negative:
-            continue
-        descent_direction(work.symmetric, rate, step)
+    first = least = force.norm()
+    for step in _steps(work, before, problem, y, went):
         if not problem.largest_motion(step) < most or before.longest_step(y, step) < 1.0:
             continue
         there.waxpy(1.0, step, y)
         problem.residual(there, force)
         if force.norm() < least:
-            there.copy(y)
-            return
+            least = force.norm()
+            there.copy(best)
+        if least < NEAR * first:
+            break
+    best.copy(y)
+
+
+def _steps(
+    work: Workspace, before: Problem, problem: Problem, y: PETSc.Vec, went: PETSc.Vec | None
+) -> Iterator[PETSc.Vec]:
+    """The secant's and the tangent's: the safe one with some mass, for the exact one may be indefinite, and where it is
+    not it leads what is soft far away. Nothing slides that the load step does not move."""
+    if went is not None:
+        yield went
+    rate, step = _rate(before, problem, y), y.duplicate()
+    blocks, carried = _contacts(before, problem, y)
+    rate.array[:] -= problem.layout.collect(problem.point(y).over_dofs(carried))
+    before.tangent(y, work.matrix, "safe", blocks, slow_rate(problem))
+    work.symmetric.factor(work.matrix)
+    if work.symmetric.usable and not work.symmetric.negative:
+        descent_direction(work.symmetric, rate, step)
+        yield step
 
 
 def edge_length(problem: Problem) -> float:
