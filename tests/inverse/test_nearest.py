@@ -158,6 +158,16 @@ def test_time_that_ends_at_the_full_load_leaves_an_answer(monkeypatch):
     assert "ended the search at 1 of the load" in result.reason
 
 
+def test_time_ends_the_adjoint_method_too(monkeypatch):
+    shape = folded_skirt(24, 4, young=1e7)
+    problem, steps = Problem(shape, MPI.COMM_SELF), []
+    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(steps)))
+    options = InverseOptions(method="tao", max_seconds=2.0)
+    result = solve_inverse(problem, shape, [], 0.0, options, told=Told(iteration=steps.append))
+    assert result.adjoint is not None and len(result.adjoint.steps) == 2
+    assert "; inverse.max_seconds ended the search" in result.reason
+
+
 def test_a_column_that_cannot_stand_leans_as_little_as_it_can():
     """The least margin at which simulations from the target end there."""
     shape, _ = heavy_strip(9.0, upwards=True, cells=20)

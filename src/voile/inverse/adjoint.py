@@ -31,6 +31,7 @@ LAST_RADIUS = 1e-4  # of the first one: no step improves
 SLOW, LOOK_BACK = 0.05, 4  # settled when so many iterations decreased the objective by less than this share
 PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
 REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
+TIME = REASON.DIVERGED_USER  # its time was over
 NEAR = 2.0  # sags of an answer beside the target: a simulation that stays there
 TRIED = 6  # iterates of panels that a simulation from the target does not end in
 
@@ -72,17 +73,19 @@ def minimise(
     design: Design | None = None,
     objectives: Sequence[Objective] | None = None,
     journal: Journal | None = None,
+    over: Callable[[], bool] = lambda: False,
 ) -> AdjointPath:
     """The rest shape that minimises the sum of the objectives, from `start` on: design variables, by default rest
     displacements with director angles; by default that whose simulation is nearest to the target, `regularisation` the
-    weight of its change. Ends when it settles, or after so many iterations of TAO. journal: of the search."""
+    weight of its change. Ends when it settles, after so many iterations of TAO, or before the next one where time is
+    `over`. journal: of the search."""
 
     def work(kept: Arrays, keep: Keep) -> Arrays:
         terms = objectives or nearness(target, design or target.rest, start, regularisation)
         search = Minimisation(target, start, design or target.rest, terms, accuracy, on_step)
         if kept:
             search.go_on(kept)
-        path = search.run(iterations, keep)
+        path = search.run(iterations, keep, over)
         return _packed(target, path) | {"rest": path.rest.array_r.copy()}
 
     found = (journal or Journal()).call(work)
@@ -122,13 +125,14 @@ class Minimisation:
         self.objective.go_on(path.trail, kept)
         self.before, self.solves = path.steps[-1].iteration, (path.forward_solves, path.adjoint_solves)
 
-    def run(self, iterations: int, keep: Keep) -> AdjointPath:
-        """Until it settles, or after so many iterations in all; keep: what an interrupted search goes on from."""
+    def run(self, iterations: int, keep: Keep, over: Callable[[], bool]) -> AdjointPath:
+        """Until it settles, after so many iterations in all, or where time is `over`; keep: what an interrupted search
+        goes on from."""
         path = self.path
         tao = _optimiser(self.objective, self.z, self.radius, self.metric)
         tao.setMaximumIterations(max(iterations - self.before, 0))
         tao.setMonitor(lambda tao: self._note(tao, keep))
-        tao.setConvergenceTest(lambda tao: _settled(tao, path, self.first, self.before))
+        tao.setConvergenceTest(lambda tao: _settled(tao, path, self.first, self.before, over))
         try:
             tao.solve()
             path.reason = tao.getConvergedReason()
@@ -255,9 +259,9 @@ def _defaults(tao: PETSc.TAO, preconditioner: str) -> None:
         ksp.setFromOptions()
 
 
-def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float, before: int) -> None:
-    """Converged by default's tests, where the trust region has shrunk, or where it has become slow; before: iterations
-    of the search that it goes on from."""
+def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float, before: int, over: Callable[[], bool]) -> None:
+    """Converged by default's tests, where the trust region has shrunk, or where it has become slow; else ended where
+    time is `over`. before: iterations of the search that it goes on from."""
     iteration, value, gradient, _, reach, _ = tao.getSolutionStatus()
     reason = REASON.CONTINUE_ITERATING
     first = path.steps[0] if path.steps else None
@@ -269,4 +273,6 @@ def _settled(tao: PETSc.TAO, path: AdjointPath, radius: float, before: int) -> N
         reason = REASON.DIVERGED_MAXITS
     elif len(path.steps) > LOOK_BACK and value > (1.0 - SLOW) * path.steps[-1 - LOOK_BACK].objective:
         reason = REASON.CONVERGED_STEPTOL
+    elif over():
+        reason = TIME
     tao.setConvergedReason(reason)

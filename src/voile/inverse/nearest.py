@@ -346,15 +346,15 @@ def approach(
     margin: float,
     stays: Stays,
     on_step: Progress | None = None,
-    seconds: float = 0.0,
+    clock: Clock | None = None,
     journal: Journal | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
-    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. seconds: of
-    the search (0: no limit), which then ends with the last stable shape. None where the full load is not reached before
+    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. clock: of
+    the search, which ends with the last stable shape when it is over. None where the full load is not reached before
     that, or nothing is free to move."""
-    clock, stable = Clock(target.problem, seconds), list[tuple[Nearest, Checkpoint]]()
+    clock, stable = clock or Clock(target.problem, 0.0), list[tuple[Nearest, Checkpoint]]()
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
         search = Nearest(Direct(target, PRECISE), clock, on_step, journal or Journal())

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.arrays import Reals
-from voile.inverse.adjoint import NEAR, REASON, AdjointPath
+from voile.inverse.adjoint import NEAR, REASON, TIME, AdjointPath
 from voile.inverse.bounds import area_range
 from voile.inverse.direct import DirectPath
 from voile.inverse.nearest_path import NearestPath
@@ -99,6 +99,8 @@ class InverseResult:
 
     def _ended(self) -> str:
         """That time ended the search, and how far the load got."""
+        if self.adjoint and self.adjoint.reason == TIME:
+            return "; inverse.max_seconds ended the search"
         if not (self.nearest and self.nearest.timed_out):
             return ""
         return f"; inverse.max_seconds ended the search at {self.nearest.fraction:.4g} of the load"

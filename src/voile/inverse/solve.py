@@ -18,8 +18,8 @@ from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_direct, unpacked_direct
+from voile.inverse.nearest import Clock, approach
 from voile.inverse.nearest import Progress as NearestProgress
-from voile.inverse.nearest import approach
 from voile.inverse.nearest_path import NearestPath
 from voile.inverse.objective import Design
 from voile.inverse.result import InverseResult
@@ -43,8 +43,8 @@ class InverseOptions:
     "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
     (smallest eigenvalue over g/L; 0: the least at which simulations from the target end), or, where there is no way to
     it and with "tao", by TAO with the weight `regularisation` of the rest shape's change, for `iterations` at most;
-    developable: the rest shape has no angle defect inside; max_seconds: of the search for the nearest stable shape, 0:
-    no limit."""
+    developable: the rest shape has no angle defect inside; max_seconds: of the search, but for its proof; 0: no
+    limit."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
@@ -127,6 +127,7 @@ class Search:
     def __init__(self, target: Target, options: InverseOptions, told: Told, journal: Journal):
         self.target, self.options, self.told, self.journal = target, options, told, journal
         self.proofs = Proofs(target, options.tolerance)
+        self.clock = Clock(target.problem, options.max_seconds)
 
     def direct(self, guess: PETSc.Vec | None = None) -> DirectPath:
         """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method
@@ -180,7 +181,7 @@ class Search:
         if options.method != "adjoint":
             return None
         found = approach(
-            target, path, options.margin, self._stays, self.told.nearest, options.max_seconds, self.journal
+            target, path, options.margin, self._stays, self.told.nearest, self.clock, self.journal
         )
         if not found:
             return None
@@ -218,6 +219,7 @@ class Search:
             told.iteration,
             design,
             journal=self.journal,
+            over=self.clock.over,
         )
 
     def home(self, nearest: NearestPath | None, adjoint: AdjointPath | None) -> DirectPath | None:

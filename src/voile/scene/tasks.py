@@ -200,8 +200,7 @@ class Inverse:
     )
     max_seconds: float = key(
         Number("s", least=0),
-        "adjoint: wall time after which the search for the nearest stable shape ends with the best one so far; 0: no "
-        "limit",
+        "adjoint, tao: wall time after which the search for a stable shape ends with the best one so far; 0: no limit",
         default=0.0,
     )
 
