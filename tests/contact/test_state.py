@@ -97,8 +97,9 @@ def one_vertex(
     contact = Contact([plane(friction)], 0.0, 10.0, everything, everything, 1e-12)
     x = np.zeros((1, 3))
     contact.begin(x, 0.0)
+    linear = None
     for iteration in range(1, 20):
-        linear = contact.linearise(x, 1.0)
+        linear = contact.linearise(x, 1.0, linear)
         matrix, dx = stiffness.copy(), np.zeros(3)
         for _, block in linear.blocks():
             matrix = matrix + block[0]

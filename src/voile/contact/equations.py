@@ -19,7 +19,7 @@ class Equations:
         self.p, self.mu = p, p.friction
         s, rho = contact.history, p.rho
         self.partner, self.history = contact.partners[p.index], s
-        self.penalty = contact.penalty
+        self.penalty, self.doubts = contact.penalty, contact.itself is None
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.reach(p.index) if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
@@ -98,10 +98,11 @@ class Equations:
     def hold(self, doubted: Ints) -> Ints:
         """What a step makes pull stays closed for one more, with its trial reaction, unless it is among the contacts
         doubted then (codes); the codes of those that do. A step that turns a membrane stretches it to second order, and
-        that outweighs the reactions around: what opens for it closes in the next one, and so on."""
+        that outweighs the reactions around: what opens for it closes in the next one, and so on. Not for a shell
+        against itself, as in `opening`: at the border of a patch on another that cycles."""
         p = self.p
         code = self.partner.codes(p.row, self.history)
-        pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted)
+        pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted) & self.doubts
         self.normal = np.where(pulls, self.pressed, self.normal)
         return code[pulls]
 
