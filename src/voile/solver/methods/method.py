@@ -156,7 +156,10 @@ class Nonlinear:
         snes.setJacobian(lambda _, z, j, p: problem.tangent(z, p), self.work.matrix)
         snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=most)
         snes.setFromOptions()
-        snes.solve(None, y)
+        try:
+            snes.solve(None, y)
+        except PETSc.Error as error:  # newer petsc4py wraps what an iteration raises
+            raise error.__cause__ or error from None
         self.work.counts.iterations += snes.getIterationNumber()
         self.asked = tolerance
         # options may end an iteration earlier than the scene asks, but that is no equilibrium
