@@ -20,6 +20,17 @@ def sums(place: Ints, values: Reals, count: int = 0) -> Reals:
     return np.asarray(np.bincount(place, values, count), dtype=float)
 
 
+def row_sums(place: Ints, values: Reals, count: int) -> Reals:
+    """(count, c) sums of rows (k, c) that go to the same places (k,)."""
+    return np.stack([np.bincount(place, column, count) for column in values.T], axis=1)
+
+
+def units(vectors: Reals) -> Reals:
+    """Vectors (..., 3) over their lengths; none stays none."""
+    found: Reals = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return found
+
+
 def diagonal(points: Reals) -> float:
     """That of the bounding box of points (n, 3)."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -9,7 +9,7 @@ straight, sharp edges and corners sharp.
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, row_sums, units
 from voile.mesh.topology import build_topology
 
 SHARP = 0.5  # cosine: turns of 60 degrees and more, from a triangle or border edge to the next, are edges and corners
@@ -22,7 +22,7 @@ def smooth_middles(points: Reals, triangles: Ints) -> Reals:
     a, b = points[topology.edges[:, 0]], points[topology.edges[:, 1]]
     corners = points[triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sharp = _sharp(_unit(facing), topology.across, triangles, len(points))
+    sharp = _sharp(units(facing), topology.across, triangles, len(points))
     normals = _normals(points, triangles, facing, topology.edges, sharp)
     lean = np.einsum("eki,ei->ek", normals[topology.edges], b - a)
     lean[sharp[topology.edges].any(axis=1)] = 0.0
@@ -30,11 +30,6 @@ def smooth_middles(points: Reals, triangles: Ints) -> Reals:
     border = topology.boundary_edges
     bend[border] = _along_border(points, topology.edges[border])
     found: Reals = 0.5 * (a + b) + 0.125 * bend
-    return found
-
-
-def _unit(vectors: Reals) -> Reals:
-    found: Reals = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
     return found
 
 
@@ -55,31 +50,26 @@ def _normals(points: Reals, triangles: Ints, facing: Reals, edges: Ints, sharp: 
     first = np.zeros((n, 3))
     for corner in triangles.T:
         np.add.at(first, corner, facing)
-    first = _unit(first)
+    first = units(first)
     ones = np.ones(2 * len(edges))
     near = csr_matrix((ones, (edges.ravel("F"), edges[:, ::-1].ravel("F"))), shape=(n, n))
     reached = (near + near @ diags((~sharp).astype(float)) @ near).tocoo()
     i, j = reached.row[reached.row != reached.col], reached.col[reached.row != reached.col]
-    aside = _unit(np.cross(first, np.eye(3)[np.abs(first).argmin(axis=1)]))
+    aside = units(np.cross(first, np.eye(3)[np.abs(first).argmin(axis=1)]))
     frame = np.stack([aside, np.cross(first, aside), first], axis=1)
     size = np.sqrt(np.bincount(edges.ravel(), np.repeat(_lengths(points, edges) ** 2, 2), n))
     local = np.einsum("pki,pi->pk", frame[i], points[j] - points[i]) / size[i, None]
     u, v, height = local.T
     terms = np.stack([u, v, u * u, u * v, v * v], axis=1) / np.linalg.norm(local, axis=1)[:, None]
     right = terms * (height / np.linalg.norm(local, axis=1))[:, None]
-    squares = _sums(i, (terms[:, :, None] * terms[:, None, :]).reshape(-1, 25), n).reshape(n, 5, 5)
-    slopes = np.linalg.solve(squares + ROUND_OFF * np.eye(5), _sums(i, right, n)[:, :, None])[:, :2, 0]
-    return _unit(first - slopes[:, :1] * frame[:, 0] - slopes[:, 1:] * frame[:, 1])
+    squares = row_sums(i, (terms[:, :, None] * terms[:, None, :]).reshape(-1, 25), n).reshape(n, 5, 5)
+    slopes = np.linalg.solve(squares + ROUND_OFF * np.eye(5), row_sums(i, right, n)[:, :, None])[:, :2, 0]
+    return units(first - slopes[:, :1] * frame[:, 0] - slopes[:, 1:] * frame[:, 1])
 
 
 def _lengths(points: Reals, edges: Ints) -> Reals:
     found: Reals = np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
     return found
-
-
-def _sums(at: Ints, values: Reals, count: int) -> Reals:
-    """(count, k) sums of rows (p, k) by `at`."""
-    return np.stack([np.bincount(at, column, count) for column in values.T], axis=1)
 
 
 def _along_border(points: Reals, edges: Ints) -> Reals:

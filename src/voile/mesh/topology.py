@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, units
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def inside_out(points: Reals, triangles: Ints) -> Flags:
     began, as a quaternion -1 where the sheet is flat: bending keeps that, a hinge that passes 180 degrees makes it 1.
     """
     across, n = build_topology(triangles).across, len(points)
-    first, second = (_unit(points[np.roll(triangles, -k, axis=1)] - points[triangles]) for k in (1, 2))
+    first, second = (units(points[np.roll(triangles, -k, axis=1)] - points[triangles]) for k in (1, 2))
     corner = np.arctan2(np.linalg.norm(np.cross(first, second), axis=2), (first * second).sum(axis=2))
-    normal = _unit(np.cross(first[:, 0], second[:, 0]))[:, None]
+    normal = units(np.cross(first[:, 0], second[:, 0]))[:, None]
     beyond, edge = normal[across // 3, 0], np.roll(first, -1, axis=1)
     fold = np.arctan2((np.cross(normal, beyond) * edge).sum(axis=2), (normal * beyond).sum(axis=2))
     # from corner k one leaves the triangle by the edge to corner k + 2, opposite corner k + 1
@@ -128,8 +128,3 @@ def _product(p: Reals, q: Reals) -> Reals:
     """(n, 4) of quaternions."""
     a, u, b, v = p[:, :1], p[:, 1:], q[:, :1], q[:, 1:]
     return np.hstack([a * b - (u * v).sum(axis=1, keepdims=True), a * v + b * u + np.cross(u, v)])
-
-
-def _unit(vectors: Reals) -> Reals:
-    unit: Reals = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
-    return unit

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, row_sums, units
 from voile.results import CELL_FIELDS, Result
 
 # The fields at vertices, and the tensors on triangles that each is made of.
@@ -44,13 +44,13 @@ class Patches:
         corners, n = points[triangles], len(points)
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         vertex = triangles.ravel()
-        normals = _unit(_sums(vertex, np.repeat(across, 3, axis=0), n))
-        turn = _rotations(np.repeat(_unit(across), 3, axis=0), normals[vertex])
+        normals = units(row_sums(vertex, np.repeat(across, 3, axis=0), n))
+        turn = _rotations(np.repeat(units(across), 3, axis=0), normals[vertex])
         arm = np.repeat(corners.mean(axis=1), 3, axis=0) - points[vertex]
         count = np.maximum(np.bincount(vertex, minlength=n), 1)
         size = np.sqrt(np.bincount(vertex, (arm**2).sum(axis=1), n) / count)
         size[size == 0.0] = 1.0
-        first = _unit(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))
+        first = units(np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)]))
         basis = np.stack([first, np.cross(normals, first)], axis=1)
         return cls(points, triangles, basis, size, turn)
 
@@ -64,17 +64,17 @@ class Patches:
         vertex, n = self.triangles.ravel(), len(self.points)
         there = _turned(np.repeat(tensors, 3, axis=0), self.turn)
         rows = self._rows(vertex, np.repeat(self.points[self.triangles].mean(axis=1), 3, axis=0))
-        left = _sums(vertex, (rows[:, :, None] * rows[:, None, :]).reshape(-1, 9), n).reshape(-1, 3, 3)
+        left = row_sums(vertex, (rows[:, :, None] * rows[:, None, :]).reshape(-1, 9), n).reshape(-1, 3, 3)
         left[:, [1, 2], [1, 2]] += SLOPES
         left[left[:, 0, 0] == 0.0, 0, 0] = 1.0  # of no triangle
-        right = _sums(vertex, (rows[:, :, None] * there[:, *SIX][:, None, :]).reshape(-1, 18), n)
+        right = row_sums(vertex, (rows[:, :, None] * there[:, *SIX][:, None, :]).reshape(-1, 18), n)
         fits = np.linalg.solve(left, right.reshape(-1, 3, 6))
         found: Reals = fits[:, 0][:, SQUARE]
         ask, told = self._from_inside()
         said = np.einsum("ki,kij->kj", self._rows(told, self.points[ask]), fits[told])[:, SQUARE]
         said = _turned(said, _rotations(self._normals[told], self._normals[ask]))
         count = np.bincount(ask, minlength=n)[:, None, None]
-        mean = _sums(ask, said.reshape(-1, 9), n).reshape(-1, 3, 3) / np.maximum(count, 1)
+        mean = row_sums(ask, said.reshape(-1, 9), n).reshape(-1, 3, 3) / np.maximum(count, 1)
         return np.where(count > 0, mean, found)
 
     def _from_inside(self) -> tuple[Ints, Ints]:
@@ -117,12 +117,6 @@ def recovered(result: Result, name: str, step: int) -> Reals:
     return patches.principal(tensors[0]) if "principal" in name else tensors[0][:, *SIX]
 
 
-def _unit(vectors: Reals) -> Reals:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    found: Reals = vectors / np.where(length > 0.0, length, 1.0)
-    return found
-
-
 def _rotations(start: Reals, end: Reals) -> Reals:
     """(k, 3, 3) the smallest rotations that take unit vectors to others."""
     axis, cosine = np.cross(start, end), (start * end).sum(axis=1)
@@ -134,8 +128,3 @@ def _rotations(start: Reals, end: Reals) -> Reals:
 def _turned(tensors: Reals, rotations: Reals) -> Reals:
     found: Reals = rotations @ tensors @ rotations.transpose(0, 2, 1)
     return found
-
-
-def _sums(index: Ints, values: Reals, n: int) -> Reals:
-    """(n, c) sums of rows (k, c) at index (k,)."""
-    return np.column_stack([np.bincount(index, column, n) for column in values.T])
