@@ -48,6 +48,30 @@ def test_recipes_name_what_is_needed():
         assert "scripts/setup" in (PACKAGING / recipe).read_text()
 
 
+def test_recipes_ask_for_the_projects_versions():
+    """pyproject.toml and CMakeLists.txt say from which version on; both recipes ask for the same."""
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    least = dict(re.fullmatch(r"([\w-]+)>=([\d.]+)", name).groups() for name in build)
+    least["python"] = PROJECT["requires-python"].removeprefix(">=")
+    least["cmake"] = re.search(r"cmake_minimum_required\(VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text())[1]
+    spack = (PACKAGING / "spack/packages/voile/package.py").read_text()
+    conda = (PACKAGING / "conda/recipe.yaml").read_text()
+    for name, version in least.items():
+        asked = re.findall(rf'depends_on\("(?:py-)?{name}@([\d.]+):"', spack)
+        assert asked == [version], f"Spack: {name} {version}, not {asked}"
+        asked = re.findall(rf"^    - {name}\b *(.*)$", conda, re.M)
+        assert asked and set(asked) == {f">={version}"}, f"conda: {name} {version}, not {asked}"
+
+
+def test_conda_specs_are_specs():
+    """A name, then at most a version and a build between blanks: `version=build` is none where the build has a star."""
+    conda = (PACKAGING / "conda/recipe.yaml").read_text()
+    listed = re.findall(r"^    - ([^$\n]+)$", conda[conda.index("requirements:") : conda.index("tests:")], re.M)
+    assert len(listed) > 15
+    for spec in listed:
+        assert re.fullmatch(r"[a-z\d-]+( (>=)?[\d.*]+( [\w*]+)?| \* [\w*]+)?", spec), spec
+
+
 # what stands in for the cluster and the study: tasks run at once, one after the other
 SBATCH = r"""#!/usr/bin/env bash
 echo "sbatch $*" >> "$LOG"
