@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +41,9 @@ PRINTED = 5e-5  # load factors are printed with four digits
 APART = 0.02  # m, of searches on two ranks, of which no two are alike: MUMPS adds in the order in which messages come
 
 
-def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
-    """Ends runs of every task that goes on, on one and two ranks, by a signal at a random time; reads what they left,
-    lets them go on, and compares the end with that of a whole run."""
+def kills(folder: Path, count: int, seed: int, names: Sequence[str] = tuple(PATHS)) -> Iterator[Fault]:
+    """Ends runs of every task that goes on (or of those named), on one and two ranks, by a signal at a random time;
+    reads what they left, lets them go on, and compares the end with that of a whole run."""
     rng, whole, out = (
         np.random.default_rng(seed),
         dict[tuple[str, int], tuple[int, float, np.ndarray]](),
@@ -51,7 +51,7 @@ def kills(folder: Path, count: int, seed: int) -> Iterator[Fault]:
     )
     (folder / "strip.obj").write_text(STRIP)
     for k in range(count):
-        name, ranks = str(rng.choice(list(PATHS))), int(rng.integers(1, 3))
+        name, ranks = str(rng.choice(names)), int(rng.integers(1, 3))
         task, keys = PATHS[name]
         scene = folder / f"{name.replace(' ', '-')}.toml"
         scene.write_text(f'[scene]\ntask = "{task}"\n{keys}{KILLED}')
