@@ -85,6 +85,8 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
         main([*run, "--set", "obstacle.0.file=body_000.obj"]) == 2
         and "not together" in capsys.readouterr().err
     )
+    alone = 'obstacle.0={shape="mesh", file="body_000.obj", frame_time=0.1}'
+    assert main([*run, "--set", alone]) == 2 and "allowed with frames only" in capsys.readouterr().err
     assert main([*run, "--set", "scene.task=statics"]) == 2 and "frames" in capsys.readouterr().err
     write_frames(tmp_path, 3)
     text = (tmp_path / "body_002.obj").read_text()

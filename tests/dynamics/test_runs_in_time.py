@@ -134,6 +134,7 @@ def test_a_run_killed_before_its_first_step_starts_again(scene, tmp_path):
         ("dynamics.spectral_radius=1.1", "dynamics.spectral_radius"),
         ('dynamics.keeps="angular-momentum"', "theta = 0.5"),
         ("obstacle.0.move.until=0", "obstacle.0.move.until"),
+        ("obstacle.0.move.from=0.2", "obstacle.0.move.from: 0.2 s"),
         ('obstacle.0.move={path="motion.csv"}', "motion.csv"),
         ("loads.history=[[0,1],[0,2]]", "loads.history"),
         ('scene.task="statics"', "obstacle.0.move"),

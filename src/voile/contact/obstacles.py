@@ -342,6 +342,8 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
             raise Rejected(f'the key "file" is missing; {problem}' if table.file is None else problem, ())
         if table.frames and table.frame_time is None:
             raise Rejected('the key "frame_time" is missing; frames need it')
+        if table.frame_time and not table.frames:
+            raise Rejected("allowed with frames only", ("frame_time",))
         if table.frames and table.move:
             raise Rejected("frames do not go together with a move", ("move",))
 

@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 
 from voile.contact.motion import Motion, Spell, Track
-from voile.errors import InputError
 from voile.scene.moves import Move, read_path
 from voile.scene.schema import Scene
 
 
 def motion_of(scene: Scene, move: Move) -> Motion:
-    """That of a `move` table of the scene. Raises InputError where it begins too late."""
+    """That of a `move` table of the scene. Raises InputError where its file is no table of motion."""
     center, duration = np.array(move.center), scene.dynamics.duration
     if move.path:
         times, rows = read_path(move.path, duration)
@@ -24,10 +23,6 @@ def motion_of(scene: Scene, move: Move) -> Motion:
     if not move.in_time:
         return Spell(**parts, end=duration) if scene.scene.task == "dynamics" else Motion(**parts)
     until = duration if move.until is None else move.until
-    if until <= move.begin:
-        raise InputError(
-            f"{scene.path}: move.from = {move.begin:g} s; allowed: before the end of the duration"
-        )
     lasts = until - move.begin
     parts |= {
         "displacement": lasts * np.array(move.velocity),

@@ -178,6 +178,12 @@ def _rebound(scene: Scene, given: set[str]) -> None:
 
 def _steps_in_time(scene: Scene, given: set[str]) -> None:
     d = scene.dynamics
+    for place, move in _moves(scene):
+        if move.until is None and move.begin >= d.duration:
+            raise Rejected(
+                f"{move.begin:g} s; allowed: before the end of dynamics.duration = {d.duration:g} s",
+                (*place, "from"),
+            )
     if d.duration > MOST_STEPS * d.time_step:
         raise Rejected(
             f"allowed: at least {d.duration / MOST_STEPS:g} s, a run has {MOST_STEPS:g} steps at most",
