@@ -6,7 +6,7 @@ from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
 from voile.elastic.plate import Bending, bending_of
-from voile.problem.follower import pressure_origin
+from voile.problem.follower import conservative
 from voile.problem.shell import Shell
 from voile.scene import Scene
 from voile.solver.multigrid import LARGE
@@ -108,9 +108,8 @@ def _by_levels(scene: Scene, model: Model, unknowns: int) -> bool:
     """Whether systems are solved by multigrid without being asked to (see solver.multigrid.with_levels)."""
     shell = model.shell
     contact = model.obstacles or scene.contact.self_contact
-    potential = shell.moment is None and not (shell.pressed and pressure_origin(shell) is None)
     stepped = scene.scene.task in ("statics", "modes") and scene.statics.control != "arc-length"
-    return stepped and unknowns > LARGE and potential and shell.axes is None and not contact
+    return stepped and unknowns > LARGE and conservative(shell) and shell.axes is None and not contact
 
 
 def _solver(scene: Scene, model: Model, by_levels: bool) -> str:
@@ -159,8 +158,7 @@ def _nested(scene: Scene, model: Model) -> tuple[bool, str]:
             a is not None for a in (shell.springs, shell.bars, shell.welds)
         ),
         "layers are kept apart": scene.contact.self_contact,
-        "loads have no potential": shell.moment is not None
-        or (shell.pressed and pressure_origin(shell) is None),
+        "loads have no potential": not conservative(shell),
         f"under {options.smallest} vertices": len(shell.points) <= options.smallest,
     }
     reason = next((reason for reason, holds in against.items() if holds), "")

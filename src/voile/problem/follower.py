@@ -1,41 +1,86 @@
 """Pressure that follows the surface, at load factor 1."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals, sums
+from voile.mesh.stitches import Stitches, join
 from voile.problem.partition import Part
 from voile.problem.shell import Shell, area_vectors
 
 
-def pressure_origin(shell: Shell) -> Reals | None:
-    """(3,) a point against which pressure has the potential -p V, V the volume between it and the surface; None where
-    there is none, as for patches of it, or none is looked for, as where supports hold along local axes.
+class Rim(NamedTuple):
+    """Where pressure ends, or changes: half edges (k,) 3 triangle + corner, input's numbers; jump (k,) Pa, that of
+    their side less that of the other; origin (3,) m of volumes; potential: whether pressure has one."""
 
-    Sliding the rim changes V by the triangles from it to the point, which is not work of the pressure. They have no
-    volume where each edge of the rim stays in a plane through the point, as on planes of symmetry.
+    half: Ints
+    jump: Reals
+    origin: Reals
+    potential: bool
+
+    def here(self, part: Part) -> tuple[Ints, Reals]:
+        """Local ends (k, 2) and jumps (k,) of those that count on this rank."""
+        order = np.argsort(part.triangle, kind="stable")
+        last = max(len(order) - 1, 0)
+        own = order[np.minimum(np.searchsorted(part.triangle, self.half // 3, sorter=order), last)]
+        counts = (part.triangle[own] == self.half // 3) & (part.weight[own] > 0.0)
+        corner = self.half[counts, None] % 3 + [1, 2]
+        return part.corners[own[counts, None], corner % 3], self.jump[counts]
+
+
+def pressure_rim(shell: Shell) -> Rim:
+    """The rim of a shell's pressure. Sewn borders with the same pressure on both sides are none.
+
+    Pressure has the potential -p V, V the volume between the surface and its start, where no motion of the rim sweeps
+    volume: each of its edges stays in a plane, as on planes of symmetry, or its ends slide along one axis at most, as
+    those of a tube held across. Not looked for where supports hold along local axes.
     """
-    if shell.patch_pressure is not None or shell.axes is not None:
-        return None
-    rim = shell.topology.edges[shell.topology.boundary_edges]
-    fixed = shell.fixed[rim]
-    rim, fixed = rim[~fixed.all(axis=(1, 2))], fixed[~fixed.all(axis=(1, 2))]
-    x, still = shell.points[rim], fixed & (shell.motion[rim] == 0.0)
-    flat = still.all(axis=1) & (x[:, 0] == x[:, 1])  # (rim, 3) axes to which the edge's plane is normal
-    origin = np.zeros(3)
-    for axis in range(3):
-        alone = flat[:, axis] & (flat.sum(axis=1) == 1)  # edges along two planes may stay in either
-        places = x[alone if alone.any() else flat[:, axis], 0, axis]
-        origin[axis] = places[0] if len(places) else 0.0
-    within = flat & (x[:, 0] == origin)
-    return origin if within.any(axis=1).all() else None
+    n, corners = len(shell.points), shell.triangles
+    label: Ints = np.arange(n)
+    if len(shell.slave):
+        label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
+    start, end = corners[:, [1, 2, 0]].ravel(), corners[:, [2, 0, 1]].ravel()
+    ends = np.sort(label[np.column_stack([start, end])].astype(np.int64), axis=1)
+    pressure = shell.pressure + (0.0 if shell.patch_pressure is None else shell.patch_pressure)
+    along = np.where(label[start] < label[end], 1.0, -1.0) * np.repeat(
+        np.broadcast_to(pressure, len(corners)), 3
+    )
+    _, half, edge = np.unique(ends[:, 0] * n + ends[:, 1], return_index=True, return_inverse=True)
+    jump: Reals = sums(edge.ravel(), along, edge.max() + 1)
+    half, jump = half[jump != 0.0], jump[jump != 0.0]
+    jump = np.where(label[start[half]] < label[end[half]], jump, -jump)
+    rim = np.column_stack([start[half], end[half]])
+    fixed, x = shell.fixed[rim], shell.points[rim]
+    still = fixed & (shell.motion[rim] == 0.0)
+    held = fixed.all(axis=(1, 2))
+    plane = (still.all(axis=1) & (x[:, 0] == x[:, 1])).any(axis=1)
+    line = (~still).any(axis=1).sum(axis=1) <= 1
+    potential = bool((held | plane | line).all()) and shell.axes is None
+    return Rim(half, jump, shell.points.mean(axis=0), potential)
 
 
-def pressure_energy(x: Reals, part: Part, origin: Reals) -> float:
-    """-p V (J) with V the volume from the origin to this rank's surface at x (vertices, 3), the sum of
-    x0.(x1 x x2)/6."""
-    corner = x[part.corners] - origin
-    volume = np.einsum("ti,ti->t", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6.0
-    return -float((part.pressure * volume) @ part.weight)
+def conservative(shell: Shell) -> bool:
+    """Whether all loads have a potential; end moments never do."""
+    return shell.moment is None and not (shell.pressed and not pressure_rim(shell).potential)
+
+
+def pressure_energy(x: Reals, part: Part, rim: Rim) -> float:
+    """-p V (J), V up to a constant the volume between this rank's surface at x (vertices, 3) and its start: that of
+    cones from the origin over its triangles, the sum of x0.(x1 x x2)/6, and over the ribbons that the rim sweeps."""
+    ends, jump = rim.here(part)
+    a, b = ends.T
+    now, was = x - rim.origin, part.points - rim.origin
+    return -float(
+        (part.pressure * part.weight) @ _cones(*now[part.corners.T])
+        + jump @ (_cones(now[b], now[a], was[a]) + _cones(now[b], was[a], was[b]))
+    )
+
+
+def _cones(a: Reals, b: Reals, c: Reals) -> Reals:
+    """(m,) signed volumes of tetrahedra with one corner at 0, the others (m, 3)."""
+    volumes: Reals = np.einsum("ti,ti->t", a, np.cross(b, c)) / 6.0
+    return volumes
 
 
 def pressure_force(x: Reals, part: Part) -> Reals:

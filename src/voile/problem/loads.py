@@ -9,7 +9,7 @@ import numpy as np
 from voile import _kernels
 from voile.arrays import Reals
 from voile.problem.elastic import Elastic
-from voile.problem.follower import pressure_energy, pressure_force
+from voile.problem.follower import Rim, pressure_energy, pressure_force
 from voile.problem.load import Load
 from voile.problem.moments import EndMoments
 from voile.problem.partition import Part
@@ -19,8 +19,8 @@ LOADS = ("gravity", "pressure", "force", "moment")
 
 
 class Loads(Term):
-    """Minus the work of the loads. gravity (3,) m/s^2; pressed: there is pressure; origin (3,) of the volume under
-    it, None where it has no potential; laws in time by LOADS, by default in proportion; `share`: of all that acts.
+    """Minus the work of the loads. gravity (3,) m/s^2; rim: where pressure ends, None
+    without pressure; laws in time by LOADS, by default in proportion; `share`: of all that acts.
     Moments turn triangles of `elastic`'s kernel."""
 
     def __init__(
@@ -28,13 +28,12 @@ class Loads(Term):
         part: Part,
         elastic: Elastic,
         gravity: Reals,
-        pressed: bool,
-        origin: Reals | None,
+        rim: Rim | None,
         laws: Mapping[str, Load] | None = None,
     ):
-        self.part, self.elastic, self.gravity, self.pressed = part, elastic, gravity, pressed
+        self.part, self.elastic, self.gravity, self.rim = part, elastic, gravity, rim
         self.laws = {name: Load() for name in LOADS} | dict(laws or {})
-        self.origin = np.zeros(3) if origin is None else origin
+        self.pressed = rim is not None
         self.moments = EndMoments(part) if part.moment.any() else None
         self.share = 1.0
         self.own = np.zeros(len(part.vertex), dtype=bool)
@@ -66,7 +65,7 @@ class Loads(Term):
         count, rows = len(at.displacement), np.repeat(self.own, 3)
         work = {
             "gravity": float(np.dot(self.weight[:count] * rows, at.displacement)),
-            "pressure": -pressure_energy(at.positions, self.part, self.origin) if self.pressed else 0.0,
+            "pressure": -pressure_energy(at.positions, self.part, self.rim) if self.rim else 0.0,
             "force": float(np.dot(self.part.force[:count] * rows, at.displacement)),
         }
         return {name: -self.factor(name, at.time) * value for name, value in work.items()}

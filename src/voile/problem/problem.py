@@ -13,7 +13,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.contact.contact import Contact
 from voile.elastic import has_directors
 from voile.problem.elastic import Elastic
-from voile.problem.follower import pressure_origin
+from voile.problem.follower import pressure_rim
 from voile.problem.inertia import mass_blocks
 from voile.problem.lifetime import stop_if_told
 from voile.problem.loads import Loads
@@ -50,12 +50,11 @@ class Problem:
         self.comm, self.shell = comm, shell
         settings = None
         if shell is not None:
-            gravity, pressed = np.asarray(shell.gravity, float), shell.pressed
-            origin = pressure_origin(shell) if pressed else np.zeros(3)
-            loads = gravity, pressed, origin, shell.load_laws
+            rim = pressure_rim(shell) if shell.pressed else None
+            loads = np.asarray(shell.gravity, float), rim, shell.load_laws
             settings = shell.model, shell.flat, loads, shell.moment is None, shell.axes is not None
         self.model, flat, loads, no_moments, self.turned = comm.bcast(settings)
-        self.conservative = loads[2] is not None and no_moments
+        self.conservative = no_moments and (loads[1] is None or loads[1].potential)
         self.directors = has_directors(self.model)
         self.part = part = distribute(shell, self.directors, comm)
         self.layout = Unknowns(part, comm)

@@ -57,7 +57,8 @@ def _check(job: Run, problem: Problem) -> None:
     if not problem.conservative:
         raise InputError(
             f"{scene.path}: loads.pressure: up to a free boundary it has no potential, so the shell has no natural "
-            "modes; allowed with task = modes: pressure on a shell that is closed, or whose boundary is held"
+            "modes; allowed with task = modes: pressure on a shell that is closed, or whose boundary is held or "
+            "slides in planes or along an axis"
         )
     if spec.buckling and problem.loads.pressed and problem.moves:
         raise InputError(
