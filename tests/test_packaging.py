@@ -53,7 +53,9 @@ def test_recipes_ask_for_the_projects_versions():
     build = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
     least = dict(re.fullmatch(r"([\w-]+)>=([\d.]+)", name).groups() for name in build)
     least["python"] = PROJECT["requires-python"].removeprefix(">=")
-    least["cmake"] = re.search(r"cmake_minimum_required\(VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text())[1]
+    least["cmake"] = re.search(
+        r"cmake_minimum_required\(VERSION ([\d.]+)", (ROOT / "CMakeLists.txt").read_text()
+    )[1]
     spack = (PACKAGING / "spack/packages/voile/package.py").read_text()
     conda = (PACKAGING / "conda/recipe.yaml").read_text()
     for name, version in least.items():
@@ -66,7 +68,9 @@ def test_recipes_ask_for_the_projects_versions():
 def test_conda_specs_are_specs():
     """A name, then at most a version and a build between blanks: `version=build` is none where the build has a star."""
     conda = (PACKAGING / "conda/recipe.yaml").read_text()
-    listed = re.findall(r"^    - ([^$\n]+)$", conda[conda.index("requirements:") : conda.index("tests:")], re.M)
+    listed = re.findall(
+        r"^    - ([^$\n]+)$", conda[conda.index("requirements:") : conda.index("tests:")], re.M
+    )
     assert len(listed) > 15
     for spec in listed:
         assert re.fullmatch(r"[a-z\d-]+( (>=)?[\d.*]+( [\w*]+)?| \* [\w*]+)?", spec), spec

@@ -10,7 +10,8 @@ from mpi4py import MPI
 from voile.errors import InputError
 from voile.post import export, info, quantity, render
 from voile.post.camera import MARGINS, look, parse_scene, upright
-from voile.post.quantities import boundary_edges, hinge_angles, hinges, largest_strain, vertex_curvature
+from voile.post.edges import boundary_edges, hinges
+from voile.post.quantities import hinge_angles, largest_strain, vertex_curvature
 from voile.post.trade import draw_trade
 from voile.results import ResultWriter, StaticMesh, read_result, write_summary
 

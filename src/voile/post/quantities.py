@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Array, Ints, Reals
+from voile.arrays import Array, Ints, Reals, row_sums
+from voile.post.edges import boundary_edges, hinges
 from voile.post.recovery import TENSORS, described, recovered
 from voile.results import Result
 
@@ -95,21 +96,6 @@ def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: 
     return found
 
 
-def hinges(triangles: Ints) -> Ints:
-    """(k, 4): vertices i, j of each inner edge and the triangles left and right of it, seen from i to j."""
-    tri = np.asarray(triangles, dtype=np.int64)
-    start, end = tri[:, [0, 1, 2]].ravel(), tri[:, [1, 2, 0]].ravel()
-    owner = np.repeat(np.arange(len(tri)), 3)
-    n = int(tri.max(initial=0)) + 1
-    key, twin = start * n + end, end * n + start
-    order = np.argsort(key)
-    at = np.minimum(np.searchsorted(key, twin, sorter=order), len(key) - 1)
-    half = order[at]
-    inner = (key[half] == twin) & (start < end)
-    found: Ints = np.column_stack([start, end, owner, owner[half]])[inner]
-    return found
-
-
 def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
     """(k,) signed angle between the normals of each hinge, rad; positive where the surface bulges out."""
     corners = points[triangles]
@@ -120,15 +106,6 @@ def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
     turn = np.cross(left, right)
     found: Reals = np.arctan2((turn * axis).sum(1) / np.where(length > 0, length, 1), (left * right).sum(1))
     return found
-
-
-def boundary_edges(triangles: Ints) -> Ints:
-    """(b, 2) vertex pairs of the edges with one triangle only."""
-    tri = np.asarray(triangles, dtype=np.int64)
-    pairs = tri[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    n = int(tri.max(initial=0)) + 1
-    keys, count = np.unique(pairs.min(axis=1) * n + pairs.max(axis=1), return_counts=True)
-    return np.column_stack(np.divmod(keys[count == 1], n))
 
 
 def vertex_curvature(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
@@ -148,16 +125,16 @@ def vertex_curvature(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
     tensor = (angle / np.where(length > 0, length, 1))[:, None] * edge[:, rows] * edge[:, columns]
     corners = points[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    own = _scatter(hinge[:, :2], np.repeat(tensor / 2, 2, axis=0), n)
-    own_area = _scatter(triangles, np.repeat(area / 3, 3)[:, None], n)
+    own = row_sums(hinge[:, :2].ravel(), np.repeat(tensor / 2, 2, axis=0), n)
+    own_area = row_sums(triangles.ravel(), np.repeat(area / 3, 3)[:, None], n)
     weight = np.ones((n, 1))
     weight[boundary_edges(triangles)] = 0
     inner = np.hstack([own, own_area]) * weight
     across, back = hinge[:, 0], hinge[:, 1]
-    ring = inner + _scatter(across, inner[back], n) + _scatter(back, inner[across], n)
+    ring = inner + row_sums(across, inner[back], n) + row_sums(back, inner[across], n)
     alone = ring[:, 6] <= 0  # corners, whose neighbours all lie on the boundary
     around = np.repeat(ring[triangles].sum(axis=1), 3, axis=0)
-    ring[alone] = _scatter(triangles, around, n)[alone]
+    ring[alone] = row_sums(triangles.ravel(), around, n)[alone]
     total = np.zeros((n, 3, 3))
     total[:, rows, columns] = total[:, columns, rows] = ring[:, :6] / np.where(
         ring[:, 6:] > 0, ring[:, 6:], 1
@@ -165,8 +142,3 @@ def vertex_curvature(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
     eigenvalues = np.linalg.eigvalsh(total)
     extreme = np.where(-eigenvalues[:, 0] > eigenvalues[:, 2], eigenvalues[:, 0], eigenvalues[:, 2])
     return eigenvalues.sum(axis=1) / 2, extreme
-
-
-def _scatter(index: Ints, values: Reals, n: int) -> Reals:
-    """(n, c) sums of the rows `values` (k, c) at `index` (k entries)."""
-    return np.column_stack([np.bincount(index.ravel(), column, n) for column in values.T])

@@ -15,11 +15,10 @@ from voile.errors import InputError
 from voile.files import replacing
 from voile.post import contact, swing
 from voile.post.camera import Camera, look, parse_scene, upright
+from voile.post.edges import boundary_edges, hinges
 from voile.post.quantities import (
     Quantity,
-    boundary_edges,
     hinge_angles,
-    hinges,
     known,
     quantity,
     vertex_curvature,

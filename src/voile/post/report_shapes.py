@@ -15,8 +15,9 @@ import numpy as np
 from voile.arrays import Ints, Reals, diagonal
 from voile.post import contact, swing
 from voile.post.camera import VIEWS, look, outermost, parse_scene, upright
+from voile.post.edges import boundary_edges
 from voile.post.film import SCALED_BY
-from voile.post.quantities import available, boundary_edges, quantity
+from voile.post.quantities import available, quantity
 from voile.post.render import colour_scale, magnitude, progress
 from voile.post.report_arrays import Arrays, levels, places
 from voile.results import Result

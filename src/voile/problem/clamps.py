@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, units
 from voile.elastic import model_of
 from voile.errors import InputError
 from voile.problem.local_axes import principal
@@ -32,14 +32,14 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
     clamped[shell.clamped_edges] = True
     stiff = np.repeat(shell.young > 0.0, 3)  # what has no stiffness holds nothing
     half = np.flatnonzero(clamped[topology.triangle_edges.ravel()] & stiff)
-    normal = _unit(area_vectors(shell.points, shell.triangles))
+    normal = units(area_vectors(shell.points, shell.triangles))
     triangle, corner = half // 3, half % 3
     start = shell.triangles[triangle, (corner + 1) % 3]
     end = shell.triangles[triangle, (corner + 2) % 3]
-    along = _unit(shell.points[end] - shell.points[start])
+    along = units(shell.points[end] - shell.points[start])
     other = topology.across.ravel()[half]
     neighbour = normal[np.where(other >= 0, other // 3, triangle)]
-    director = _unit(normal[triangle] + neighbour)
+    director = units(normal[triangle] + neighbour)
     at_rest = (other < 0) & _lies_at_rest(shell, triangle, corner)
     conormal = np.cross(along, director)
     # in axes of what both ends leave free
@@ -80,7 +80,7 @@ def clamp_laws(shell: Shell, clamps: Reals) -> Reals:
     turned = np.flatnonzero((law >= 0) & (clamps[:, 2] > 0.0))
     if len(turned):
         start, rest = (
-            _unit(area_vectors(x, t)[half[turned] // 3])
+            units(area_vectors(x, t)[half[turned] // 3])
             for x, t in ((shell.points, shell.triangles), (shell.rest_points, shell.rest_triangles))
         )
         if np.abs(start - rest).max() > LEVEL:
@@ -111,8 +111,3 @@ def _plane_of_symmetry(free: Flags, along: Reals, conormal: Reals, loose: Reals)
     across = np.abs(np.einsum("ij,ij->i", axis, along)) < 1e-6
     steep = np.einsum("ij,ij->i", axis, conormal) > np.sqrt(0.5)
     return axis, (free.sum(axis=1) == 2) & across & steep & (loose > 1e-12)
-
-
-def _unit(v: Reals) -> Reals:
-    found: Reals = v / np.linalg.norm(v, axis=1, keepdims=True)
-    return found

@@ -40,16 +40,6 @@ class Options:
     growth: float = 1e8
 
 
-@dataclass
-class Iteration:
-    """One step of the semismooth method: norms of the equilibrium's residual and of the laws' mismatch (N)."""
-
-    residual: float
-    mismatch: float
-    symmetric: bool
-    changed: bool  # some pair opened, closed, stuck or slipped
-
-
 class Semismooth:
     """Its SNES's function norm is that of residual and mismatch. `negative`: negative eigenvalues on the contacts'
     tangent space after the last run; None where slip hides them. `still`: it ended where Newton steps move no vertex
@@ -59,15 +49,9 @@ class Semismooth:
 
     def __init__(self, work: Workspace, options: Options | None = None):
         self.work, self.options = work, options or Options()
-        self.iteration = Iterate(self)
-        self.nonlinear = Nonlinear(work, "semismooth_", self.iteration)
+        self.nonlinear = Nonlinear(work, "semismooth_", Iterate(self))
         self.negative: int | None = None
         self.stalled = self.still = False
-
-    @property
-    def steps(self) -> list[Iteration]:
-        """Those of the last run."""
-        return self.iteration.steps
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
@@ -90,72 +74,101 @@ class Semismooth:
         return Outcome(True, self.name, reason, norm=self.nonlinear.norm, negative=self.negative)
 
 
+@dataclass
+class Course:
+    """How the norm (N) went: the first, the least, and iterations since it was halved last."""
+
+    first: float = 0.0
+    best: float = np.inf
+    idle: int = 0
+
+    def take(self, norm: float) -> None:
+        """Of the next iterate."""
+        self.first = self.first or norm
+        self.idle = 0 if norm < 0.5 * self.best else self.idle + 1
+        self.best = min(norm, self.best)
+
+
+@dataclass
+class Held:
+    """An equilibrium to come back to, its norm (N), SNES's reason."""
+
+    state: State
+    norm: float
+    reason: int
+
+
 class Iterate:
     """The iteration of its SNES."""
 
     def __init__(self, method: Semismooth):
         self.method, self.work, self.options = method, method.work, method.options
-        self.steps: list[Iteration] = []
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason. The reactions are in the contact's state."""
-        problem = self.method.nonlinear.problem
-        contact, matrix, most = contact_of(problem), self.work.matrix, snes.getTolerances()[3]
-        f, direction, states, linear = snes.getFunction()[0], y.duplicate(), None, None
-        self.steps, kind = [], "exact"
-        first, best, idle, stall = 0.0, np.inf, 0, Stall()
-        held: tuple[State, float, int] | None = (
-            None  # an equilibrium to come back to, its norm, SNES's reason
+        snes.setConvergedReason(self._iterate(snes, y) or _REASON.DIVERGED_MAX_IT)
+
+    def _iterate(self, snes: PETSc.SNES, y: PETSc.Vec) -> int:
+        """The reason to end, 0 where it gives up."""
+        problem, tolerance, most = (
+            self.method.nonlinear.problem,
+            snes.getTolerances()[1],
+            snes.getTolerances()[3],
         )
+        direction, course, stall = y.duplicate(), Course(), Stall()
+        held: Held | None = None
+        linear: Linearised | None = None
         for it in range(most + 1):
-            residual, mismatch = law_norms(problem, y, f, snes.getTolerances()[1])
-            norm = float(np.hypot(residual, mismatch))
-            first = first or norm
-            idle = 0 if norm < 0.5 * best else idle + 1
-            best = min(norm, best)
-            reason = test(snes, it, y, direction, norm if norm <= self.options.growth * first else np.nan)
+            norm = float(np.hypot(*law_norms(problem, y, snes.getFunction()[0], tolerance)))
+            course.take(norm)
+            reason = test(
+                snes, it, y, direction, norm if norm <= self.options.growth * course.first else np.nan
+            )
             if held and reason <= 0:  # as where the tangent is singular
-                reason = self._back(snes, problem, y, held)
+                reason = self._back(snes, y, held)
             if reason and (it or reason < 0):
-                snes.setConvergedReason(reason)
-                return
+                return reason
             # What holds from the start takes one step for its inertia, and to be sharper.
-            held = (problem.save(y), norm, reason) if reason else None
+            held = Held(problem.save(y), norm, reason) if reason else None
             stalled = not self.method.negative and stall.reached(problem, y, norm)
-            if it == most or idle > self.options.patience or stalled:
+            if it == most or course.idle > self.options.patience or stalled:
                 self.method.stalled = stalled
-                break
-            linear = contact.linearise(problem.positions(y), problem.time, linear)
-            symmetric = problem.everywhere(linear.symmetric)
-            problem.tangent(y, matrix, kind, linear.blocks())
-            solver = self.work.symmetric if symmetric else self.work.unsymmetric
-            if solver.factor(matrix):
-                self._direction(solver, linear, y, direction)
-            self.method.negative = solver.negative if solver.usable else None
-            if not (solver.usable and np.isfinite(direction.norm())):
-                reason = self._back(snes, problem, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
-                snes.setConvergedReason(reason)
-                return
-            waited = idle >= stall.idle  # or else reactions still move
-            near = waited and norm <= WORTH * snes.getTolerances()[1]
+                return 0
+            linear = contact_of(problem).linearise(problem.positions(y), problem.time, linear)
+            if not self._solve(linear, "mixed" if it else "exact", y, direction):
+                return self._back(snes, y, held) if held else _REASON.DIVERGED_LINEAR_SOLVE
+            waited = course.idle >= stall.idle  # or else reactions still move
+            near = waited and norm <= WORTH * tolerance
             if near and not held and problem.largest_motion(direction) < STILL:
                 self.method.still = True
-                break
-            length = limit(problem, y, direction)
-            problem.predict(y, direction)
-            y.axpy(1.0, direction)
-            linear.reactions(length)
-            now = linear.states()
-            self.steps.append(Iteration(residual, mismatch, symmetric, now != states))
-            states, kind = now, "mixed"
-        snes.setConvergedReason(_REASON.DIVERGED_MAX_IT)
+                return 0
+            self._step(linear, y, direction)
+        return 0
 
-    def _back(self, snes: PETSc.SNES, problem: Problem, y: PETSc.Vec, held: tuple[State, float, int]) -> int:
+    def _solve(self, linear: Linearised, kind: str, y: PETSc.Vec, direction: PETSc.Vec) -> bool:
+        """Whether there is a Newton step by a kind of tangent, in direction; counts its negative eigenvalues."""
+        problem = self.method.nonlinear.problem
+        problem.tangent(y, self.work.matrix, kind, linear.blocks())
+        symmetric = problem.everywhere(linear.symmetric)
+        solver = self.work.symmetric if symmetric else self.work.unsymmetric
+        if solver.factor(self.work.matrix):
+            self._direction(solver, linear, y, direction)
+        self.method.negative = solver.negative if solver.usable else None
+        return bool(solver.usable and np.isfinite(direction.norm()))
+
+    def _step(self, linear: Linearised, y: PETSc.Vec, direction: PETSc.Vec) -> None:
+        """Takes as much of a Newton step as may be."""
+        problem = self.method.nonlinear.problem
+        length = limit(problem, y, direction)
+        problem.predict(y, direction)
+        y.axpy(1.0, direction)
+        linear.reactions(length)
+
+    def _back(self, snes: PETSc.SNES, y: PETSc.Vec, held: Held) -> int:
         """y and the reactions are again those of a state that converged; the reason why it did."""
-        state, norm, reason = held
-        problem.restore(y, state)
-        snes.setFunctionNorm(norm)
-        return reason
+        self.method.nonlinear.problem.restore(y, held.state)
+        snes.setFunctionNorm(held.norm)
+        return held.reason
 
     def _direction(
         self, solver: LinearSolver, linear: Linearised, y: PETSc.Vec, direction: PETSc.Vec
