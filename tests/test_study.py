@@ -378,6 +378,16 @@ def test_bad_heads(head, words, study, tmp_path):
     refused(voile("study", path, "-o", tmp_path / "out"), *words)
 
 
+def test_forces_of_supports_are_measures(study, tmp_path):
+    path = study(
+        HEAD + 'measure = "supports.0.force.2"\nreference = 8.333333333333333e-5\n[vary]\nrefine = [0]\n'
+    )
+    (only,) = done(path, tmp_path / "out")["runs"]
+    assert only["error"] < 1e-7  # the clamp carries the weight
+    path.write_text(path.read_text().replace("supports", "support"))
+    refused(voile("study", path, "-o", tmp_path / "out"), 'no run has "support.0.force.2"', "supports.*")
+
+
 def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):
     path = study(HEAD + 'measure = "smallest_eigenvalue"\nreference = 1.0\n[vary]\nrefine = [0]\n')
     run = program("study", path, "-o", tmp_path / "out")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from voile.cli import main
+from voile.post.series import Recorded
 from voile.results import read_result, read_summary
 
 WIDTH, LENGTH, GRAVITY = 0.1, 0.4, 9.81
@@ -51,6 +52,27 @@ def run(folder: Path, text: str, *options: str) -> list[dict]:
     (folder / "scene.toml").write_text(text)
     assert main(["run", str(folder / "scene.toml"), "-o", str(folder / "out"), *options]) == 0
     return read_summary(folder / "out" / "summary.json")["supports"]
+
+
+def test_a_path_keeps_the_forces_of_every_step(tmp_path):
+    """The strip is drawn out: E h w times the stress of the model's strain, at all load factors; nu = 0."""
+    text = (
+        SCENE.replace("thickness", "poisson = 0.0\nthickness").partition("[loads]")[0]
+        + "[loads]\ngravity = [0, 0, 0]\n"
+    )
+    text += SCENE[SCENE.index("[[fix]]") :].replace("clamp = true", "")
+    text += (
+        "[[fix]]\nselect = { box = [[0.399, -1, -1], [1, 1, 1]] }\nmove = { displacement = [0.004, 0, 0] }\n"
+    )
+    table = run(tmp_path, text + "[statics]\nload_factors = [0.25, 0.5, 1.0]\n")
+    with read_result(tmp_path / "out") as result:
+        wall, pulled = (Recorded(result, False).series(f"support_{k}")[0] for k in (0, 1))
+        last = [result.figures()[f"support_1_{axis}"][-1] for axis in "xyz"]
+    stretch = 1.0 + 0.01 * pulled.at
+    force = 1e9 * 1e-3 * WIDTH * 0.5 * (stretch**2 - 1.0) * stretch
+    assert pulled.unit == "N" and pulled.at.tolist() == [0.25, 0.5, 1.0] and last == table[1]["force"]
+    assert np.allclose(pulled.values[:, 0], force, rtol=1e-7)
+    assert np.allclose(pulled.values + wall.values, 0.0, atol=1e-6 * force.min())
 
 
 def loads(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

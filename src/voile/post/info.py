@@ -39,7 +39,8 @@ def info(path: str | os.PathLike[str]) -> str:
             smallest, largest = np.nanmin(size), np.nanmax(size)
             lines.append(f"    {name:18s} {smallest:12.5g} {largest:12.5g} {q.unit:6s} {q.title}".rstrip())
         for name, figure in result.scalars().items():
-            lines.append(f"    {name:18s} {figure:12.6g}")
+            if not name.startswith("support_"):  # the summary has a table of them
+                lines.append(f"    {name:18s} {figure:12.6g}")
         beside = result.path.with_name("summary.json")
     if beside.is_file():
         lines += ["  summary", *_tree(read_summary(beside), "    ")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -41,6 +42,7 @@ POTENTIALS = (
 SINCE_THE_START = ("_dissipated", "_work")  # what the names of energies spent or given end with
 ENERGIES = "energies"  # all of them but for those that no one would tell from 0 beside the largest:
 SEEN = 1e-3
+SUPPORT = re.compile(r"support_\d+_x")  # tasks.run's names
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Recorded:
         self._makers: dict[str, Callable[[], Reals]] = {"max_displacement": self._max_displacement}
         if "reaction" in result.point_fields:
             self._makers["contact_force"] = self._contact_force
-        self._columns = {name: (result.values, figures) for name, figures in result.figures().items()}
+        self._columns = {name: (result.values, figures) for name, figures in _joined(result).items()}
         history = _history(result) if in_time else {}
         self._columns |= {name: (history["time"], figures) for name, figures in history.items()}
 
@@ -124,6 +126,14 @@ class Recorded:
         return np.array([self.result.field("reaction", k).sum(axis=0) for k in range(self.result.n_steps)])
 
 
+def _joined(result: Result) -> dict[str, Reals]:
+    """Figures of the stored steps, the components of a support's force as one (k, 3)."""
+    found = result.figures()
+    for name in [name[:-2] for name in found if SUPPORT.fullmatch(name)]:
+        found[name] = np.stack([found.pop(f"{name}_{axis}") for axis in "xyz"], axis=1)
+    return found
+
+
 def is_energy(name: str) -> bool:
     """Whether a figure is an energy (J), stored or counted since the start."""
     return name in POTENTIALS or name.endswith(SINCE_THE_START)
@@ -131,6 +141,8 @@ def is_energy(name: str) -> bool:
 
 def unit(name: str) -> str:
     """SI unit of a recorded figure, "" where it has none."""
+    if name.startswith("support_"):
+        return "N"
     return "J" if is_energy(name) else UNITS.get(name, "")
 
 

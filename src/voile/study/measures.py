@@ -19,16 +19,16 @@ from voile.study.schema import Point, Study
 DISPLACEMENT, ENERGY = "max_displacement", "energy"
 # Figures of summaries: names below each, () where there are none, None where tasks add their own.
 _CONTACT = ("active", "stick", "slip", "max_penetration", "friction_error")
-_ENERGY = ("stretching", "bending", "gravity", "pressure", "force")
+_ENERGY = ("stretching", "bending", "gravity", "pressure", "force", "springs")
 FIGURES: dict[str, tuple[str, ...] | None] = {
     **dict.fromkeys(("dofs", "steps", "newton_iterations", "linear_solves", "factorisations"), ()),
     **dict.fromkeys(("residual_norm", "residual_tolerance", "peak_memory_mib", "ranks"), ()),
     "energy": _ENERGY,
     "contact": _CONTACT,
-    "wall_time_s": None,
+    **dict.fromkeys(("contact.obstacles", "supports", "sections", "wall_time_s")),
 }
 OF_TASK: dict[str, dict[str, tuple[str, ...] | None]] = {
-    "statics": {"load_factor": (), "smallest_eigenvalue": (), "limit_points": None},
+    "statics": {"load_factor": (), "smallest_eigenvalue": (), "limit_points": None, "bifurcations": None},
     "dynamics": {"dynamics": None},
     "inverse": {"smallest_eigenvalue": (), "inverse": None},
     "modes": {"modes": None, "buckling": None, "smallest_eigenvalue": (), "load_factor": ()},
@@ -80,7 +80,8 @@ def _tasks(study: Study, scene: Scene) -> list[str]:
 def _is_figure(name: str, known: dict[str, tuple[str, ...] | None]) -> bool:
     head, _, tail = name.partition(".")
     below = known.get(head, ())
-    return name in (DISPLACEMENT, ENERGY) or (head in known and (below is None or tail in (below or ("",))))
+    inside = any(name.startswith(f"{open}.") for open, under in known.items() if under is None)
+    return name in (DISPLACEMENT, ENERGY) or inside or (head in known and tail in (below or ("",)))
 
 
 def _dotted(known: dict[str, tuple[str, ...] | None]) -> list[str]:

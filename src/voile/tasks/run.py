@@ -179,6 +179,18 @@ class Run:
             found["sections"] = section_table(at, y, shell, model.sections if model else ()) or []
         return found
 
+    def support_figures(self, problem: Problem, y: PETSc.Vec) -> dict[str, float]:
+        """What each [[fix]] exerts on the shell, its components by name (N), of one step. Collective."""
+        if not problem.held:
+            return {}
+        shell, holds = (self.model.shell, self.model.holds) if self.model else (None, None)
+        table = self.comm.bcast(support_table(problem, y, shell, holds)) or []
+        return {
+            f"support_{k}_{axis}": float(force)
+            for k, support in enumerate(table)
+            for axis, force in zip("xyz", support["force"], strict=True)
+        }
+
     def summarise(
         self,
         problem: Problem,
@@ -291,6 +303,7 @@ class Steps:
         scalars = {"residual": step.residual, "converged": converged, **step.energies}
         if step.displacement is not None:
             scalars["load_displacement"] = step.displacement
+        scalars |= self.run.support_figures(self.problem.at(step.factor), y)
         self._write(step.factor, y, scalars)
 
     def _write(self, at: float, y: PETSc.Vec, scalars: dict[str, float]) -> None:
