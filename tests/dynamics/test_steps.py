@@ -10,6 +10,9 @@ from test_problem import sheet
 from voile.contact.crossing import entries
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
+from voile.solver.path_in_time import TimeOptions
+from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
+from voile.solver.stepping.time_path import Stepper
 
 
 def thin_plate(**motion) -> Box:
@@ -110,6 +113,15 @@ def test_a_run_ends_at_rest():
     assert run.path.reason.startswith("at rest") and run.times[-1] == pytest.approx(
         1.0 / (0.3 * 9.81), abs=0.02
     )
+
+
+def test_a_run_at_rest_goes_on_with_no_step():
+    """As one does that was killed after its last step."""
+    run, *_ = on_slope(0.0, 0.0, "implicit-euler", 1e-2, 5.0, 1.0, friction=0.3, stop_at_rest=1e-3)
+    options = TimeOptions(SCHEMES["implicit-euler"](SchemeOptions()), 1e-2, 5.0, 1e-9, stop_at_rest=1e-3)
+    count, run.path.converged = run.path.count, False
+    Stepper(run.problem, options, run.solver, run.path).follow()
+    assert run.path.count == count and run.path.converged and run.path.reason.startswith("at rest")
 
 
 def test_what_falls_from_rest_is_not_at_rest():

@@ -123,6 +123,8 @@ class Stepper:
         asked, path = self.asked, self.path
         if asked.scheme.memory and path.time == 0.0:
             self._begin()
+        if path.count and self._rests():  # a run that was killed after its last step
+            return
         while path.time < asked.duration:
             h, end = self.path.length, path.time + self.path.length
             if asked.duration - path.time < (1.0 + self.options.close) * h:
@@ -146,19 +148,25 @@ class Stepper:
             path.kinematics = self.k
             if on_step:
                 on_step(done, path)
-            if self._rests(done):
-                path.converged, path.reason = True, f"at rest at time {done.time:g} s"
+            if self._rests():
                 return
         path.converged, path.reason = True, "end of the simulated time"
 
-    def _rests(self, done: TimeStep) -> bool:
+    def _rests(self) -> bool:
         """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
-        size, or as the scene goes on."""
-        limit, problem = self.asked.stop_at_rest, self.problem
-        if not done.speed < limit or done.time < self.changes:
+        size, or as the scene goes on. The path says so."""
+        limit, problem, path = self.asked.stop_at_rest, self.problem, self.path
+        if not self._speed() < limit or path.time < self.changes:
             return False
         acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
-        return acceleration < limit * float(np.sqrt(slow_rate(problem)))
+        if not acceleration < limit * float(np.sqrt(slow_rate(problem))):
+            return False
+        path.converged, path.reason = True, f"at rest at time {path.time:g} s"
+        return True
+
+    def _speed(self) -> float:
+        """Of the fastest vertex (m/s)."""
+        return self.problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * self.problem.size()
 
     def _begin(self) -> None:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
@@ -212,7 +220,7 @@ class Stepper:
             problem.energies(y),
             contact_report(problem, y) if problem.contact else None,
             outcome.method,
-            problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * problem.size(),
+            self._speed(),
         )
         return done, outcome
 
