@@ -98,6 +98,15 @@ def test_acceleration_takes_half_the_iterations():
     assert counts[1] < 0.5 * counts[0]
 
 
+def test_motions_along_the_normals_take_few_iterations():
+    """With A alone a step takes 78: it resists them as it resists stretching."""
+    points, triangles = sheet(12, 6)
+    problem = Problem(shell_of(points, triangles))
+    method = LocalGlobal(problem, Options(iterations=5000))
+    March(problem, swung(points), H, 1e-6).run(method.solve, STEPS)
+    assert method.counts.iterations < 30 * STEPS
+
+
 def test_iterations_without_acceleration_lower_the_potential():
     """Projections only help, so no step is too long."""
     points, triangles = sheet(12, 6)

@@ -12,16 +12,16 @@ from voile.arrays import Reals
 from voile.problem.partition import Part
 
 
-def constant_blocks(part: Part) -> Reals:
-    """(m, 21, 21) N/m of the triangles: the same for the three components of corners and vertices across edges, none
-    for directors. As in `triangles.gather_triangles`."""
+def constant_blocks(part: Part, share: float = 1.0) -> Reals:
+    """(m, 21, 21) N/m of the triangles, with a share of the stretching; the same for three components of corners and
+    vertices across edges, none for directors. As in `triangles.gather_triangles`."""
     area, gradients = _shape_functions(part)
     thickness, young, poisson, _ = part.fabric
     mu, lam = 0.5 * young / (1.0 + poisson), young * poisson / (1.0 - poisson**2)
     # lambda < 0: mu |U - I|^2 + lambda/2 tr(U - I)^2 has two positive parts, mu + lambda and the deviator's -lambda.
     firm = 2.0 * thickness * area * (mu + np.maximum(lam, 0.0))
     scalar = np.zeros((len(area), 7, 7))
-    scalar[:, :3, :3] = firm[:, None, None] * gradients
+    scalar[:, :3, :3] = share * firm[:, None, None] * gradients
     forms = _second_forms(part, area, gradients)
     stiffness = (thickness**3 / 12.0 * area)[:, None, None] * _bending(part, gradients, mu, lam)
     scalar[:, :6, :6] += np.einsum("mip,mij,mjq->mpq", forms, stiffness, forms)

@@ -9,26 +9,18 @@ from voile.arrays import Ints, Reals
 from voile.problem.contact import contact_of
 from voile.problem.problem import Problem
 
-# Of the elasticity in the resistance. Any share has the same fixed points: with none reactions creep, with all of it
-# they overshoot, for a sweep does not see how the shell around gives way. From 0.04 to 0.15 runs hardly differ.
-SHARE = 0.08
-
 
 class Resistance:
-    """(1 - SHARE) c M + SHARE A of the unknowns that this rank's contacts move: its own and its ghosts', all where
-    layers are in play, for contacts are then those of all ranks. A = c M + K is `matrix`, c is 1/s^2. What is sewn with
-    weights counts with the unknown of its largest. `stiffness`: for `_projective.LocalContacts`."""
+    """A constant `matrix` for the unknowns that this rank's contacts move: its own and its ghosts', all where layers
+    are in play, for contacts are then those of all ranks. What is sewn with weights counts with the unknown of its
+    largest. `stiffness`: for `_projective.LocalContacts`."""
 
-    def __init__(self, problem: Problem, matrix: PETSc.Mat, coefficient: float):
+    def __init__(self, problem: Problem, matrix: PETSc.Mat):
         used, unknown = _used(problem)
         rows = PETSc.IS().createGeneral(used.astype(np.int32), comm=PETSc.COMM_SELF)
         self._near = PETSc.Vec().createSeq(len(used), comm=PETSc.COMM_SELF)
-        inertia = problem.mass()
-        inertia.scale((1.0 - SHARE) * coefficient)
-        self._scatter = PETSc.Scatter().create(inertia, rows, self._near, None)
+        self._scatter = PETSc.Scatter().create(problem.create_vector(), rows, self._near, None)
         (part,) = matrix.createSubMatrices(rows, rows)
-        part.scale(SHARE)
-        part.setDiagonal(PETSc.Vec().createWithArray(self.gather(inertia)), addv=PETSc.InsertMode.ADD_VALUES)
         start, column, value = part.getValuesCSR()
         sparse = sp.csr_matrix((value, column, start), shape=part.getSize())
         sparse.eliminate_zeros()  # axes are not coupled
