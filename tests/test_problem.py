@@ -1,5 +1,7 @@
 """The distributed problem: its derivatives, seams, supports, and the solvers on it."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -257,3 +259,18 @@ def test_hilbert_order_keeps_neighbours_together():
     assert sorted(order) == list(range(len(points)))
     steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
     assert np.mean(steps) < 1.5 / 32
+
+
+def test_the_pattern_of_a_matrix_is_not_kept():
+    """It is as large as a third of the matrix."""
+    points, triangles = sheet(40, 40)
+    problem = Problem(make_shell(points, triangles), MPI.COMM_SELF)
+    tracemalloc.start()
+    matrix = problem.create_matrix()
+    kept = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert kept < 0.1 * 4 * matrix.getInfo()["nz_used"]
+    again = problem.create_matrix()
+    for one in matrix, again:
+        problem.tangent(problem.create_vector(), one)
+    assert matrix.equal(again)

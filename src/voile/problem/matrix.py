@@ -27,7 +27,7 @@ class Assembly:
         self.coupled = np.zeros(
             0, dtype=np.int64
         )  # ascending codes of the pairs of vertices that contacts couple
-        self._pattern: tuple[Ints, Ints] | None = None
+        self._places: int | None = None  # how many were coupled when `scatter`, which keeps places, was made
         self._combination: sp.csr_matrix | None = None
         self._bound = None
 
@@ -43,16 +43,15 @@ class Assembly:
         return matrix
 
     def _allocate(self, matrix: PETSc.Mat, kernel: _kernels.Elastic) -> None:
-        if self._pattern is None:
-            self._pattern = self._find_pattern(kernel)
-        matrix.setPreallocationCSR(self._pattern)
+        if self._places != len(self.coupled):
+            self.scatter, self._places = self._make_scatter(kernel), len(self.coupled)
+        matrix.setPreallocationCSR(self._find_pattern())
         matrix.setAttr("coupled", len(self.coupled))
         self._bind(matrix)
 
-    def _find_pattern(self, kernel: _kernels.Elastic) -> tuple[Ints, Ints]:
-        """Row starts and columns of this rank's entries, and the `scatter` that goes with them."""
+    def _make_scatter(self, kernel: _kernels.Elastic) -> _kernels.Scatter:
         part = self.part
-        self.scatter = _kernels.Scatter(
+        return _kernels.Scatter(
             kernel,
             self.directors,
             part.owned,
@@ -60,6 +59,10 @@ class Assembly:
             part.matrix.indices.astype(np.int32),
             part.matrix.data,
         )
+
+    def _find_pattern(self) -> tuple[Ints, Ints]:
+        """Row starts and columns of this rank's entries. Matrices are few and it is as large as a third of one: it is
+        not kept."""
         start, column = self.scatter.pattern(self.unknown.astype(np.int64))
         column = self.unknown[column]
         if len(self.coupled):
@@ -75,7 +78,6 @@ class Assembly:
         if not np.isin(np.concatenate([*needed, self.coupled[:0]]), self.coupled).all():
             near = [] if likely is None else [self._codes(likely)]
             self.coupled = np.unique(np.concatenate([*needed, *near, self.coupled]))
-            self._pattern = None
             self._allocate(matrix, kernel)
         elif matrix.getAttr("coupled") != len(self.coupled):
             self._allocate(matrix, kernel)
