@@ -105,6 +105,34 @@ def test_a_matrix_that_is_not_positive_definite(tmp_path):
         assert residual.norm() < 2.0 * multigrid.RELATIVE * b.norm()
 
 
+def test_a_mesh_that_is_its_own_coarsest_level(tmp_path):
+    """Is factored, whatever asks for levels."""
+    path = scene(tmp_path, 0.25)
+    direct, asked = (run(path, tmp_path / out, petsc=more) for out, more in (("d", ()), ("a", MULTIGRID)))
+    assert np.array_equal(direct.positions, asked.positions)
+    assert asked.summary["unused_options"] == []
+
+
+def test_solves_end_where_newton_does(tmp_path):
+    """No digits that a nonlinear solve has no use for."""
+    problem = Problem(modelled(read_scene(str(scene(tmp_path, 1 / 24)))).shell)
+    work, x, b = Workspace(problem), problem.create_vector(), problem.create_vector()
+    problem.residual(x, b)
+    problem.tangent(x, work.matrix)
+    counts = []
+    for tolerance in 0.0, 1e-2 * b.norm():
+        levels = multigrid.Multigrid(problem, Workspace(problem).symmetric, transfers(problem, 1000))
+        levels.aim(tolerance)
+        levels.factor(work.matrix)
+        levels.solve(b, x)
+        counts.append(levels.counts.krylov)
+        residual = b.duplicate()
+        work.matrix.mult(x, residual)
+        residual.axpy(-1.0, b)
+        assert residual.norm() <= max(tolerance, 2.0 * multigrid.RELATIVE * b.norm())
+    assert counts[1] < 0.8 * counts[0]
+
+
 @pytest.mark.parametrize(
     ("more", "why"),
     [

@@ -157,6 +157,9 @@ class LinearSolver:
         self.negative = negative_pivots(pc)
         return self.usable
 
+    def aim(self, tolerance: float) -> None:
+        """Told what norm (N) a nonlinear solve is to reach: iterations need not go far below."""
+
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """x = A^-1 b with the last matrix."""
         with self.counts.solving():

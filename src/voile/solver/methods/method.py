@@ -156,6 +156,7 @@ class Nonlinear:
         snes.setJacobian(lambda _, z, j, p: problem.tangent(z, p), self.work.matrix)
         snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=most)
         snes.setFromOptions()
+        self.work.symmetric.aim(tolerance)
         try:
             snes.solve(None, y)
         except PETSc.Error as error:  # newer petsc4py wraps what an iteration raises
