@@ -10,6 +10,7 @@ from kernel_shell import irregular_mesh
 from voile.cli import main
 from voile.elastic import evaluate
 from voile.elastic.weave import Woven, isotropic, warp_directions, weave_rows
+from voile.errors import InputError
 from voile.mesh import build_topology, read_mesh, texture_direction
 from voile.mesh.surface import read_rest
 from voile.problem.levels import coarsen
@@ -265,6 +266,18 @@ def test_the_librarys_fabrics_are_what_was_measured(tmp_path, name):
     assert scene.shell.material == "orthotropic" and scene.shell.young == keys["young"]
     assert scene.shell.thickness == 2e-3
     assert np.isfinite(build_model(scene).shell.weave).all()
+
+
+def test_wool_has_the_bending_that_was_measured_and_no_moduli(tmp_path):
+    """Its source: 16.29 mg/cm^2 and 0.067 gf cm^2/cm; 1 gf is 9.80665e-3 N."""
+    text = '[shell]\nmesh = "mesh.obj"\nfabric = "wool"\nwarp = [0, 1, 0]\n'
+    rest = "[[fix]]\nselect = { nodes = [0, 1, 2] }\n"
+    scene = read_scene(write(tmp_path, text + "young = 2e6\n" + rest)).shell
+    assert scene.material == "orthotropic" and scene.young == 2e6
+    assert scene.density * scene.thickness == pytest.approx(0.1629)
+    assert scene.bending_warp == scene.bending_weft == pytest.approx(0.067 * 9.80665e-3 * 1e-2)
+    with pytest.raises(InputError, match='"young" is missing'):
+        read_scene(write(tmp_path, text + rest))
 
 
 def test_the_sources_hinges_bend_as_the_plate_of_a_quarter_of_their_stiffness():

@@ -8,6 +8,10 @@ strain and curvature.
 Bending there is the k of the hinge energy k l^2 theta^2 / (8 a), l an edge's length, theta its angle, a the area of its
 two triangles (Bridson et al. 2003; ARCSim's bending_energy). Of a grid bent to a cylinder of curvature c that is
 k c^2 / 8 per area, and B c^2 / 2 of a plate: B = k/4.
+
+Wool: Matsudaira, Masuda, Wada and Yokura (2015), "Shape factor of flared skirts compared with that of circular
+fabrics", Journal of Textile Engineering 61, 69-73, table 1: "wool tropical", plain weave, all wool, by Kawabata's
+instruments; read in a copy of the table. It has no moduli: scenes give `young`.
 """
 
 from typing import Any
@@ -59,11 +63,24 @@ MEASURED = {
     ),
 }
 
+# Per area mass (kg/m^2), thickness (m), bending stiffness (gf cm^2/cm, one for both directions)
+BENDING = {"wool": (0.1629, 0.407e-3, 0.067)}
+GRAM_FORCE = 9.80665e-5  # N m in a gf cm^2/cm
+
 
 def fabric(name: str) -> dict[str, float]:
     """The keys of [shell] or [[fabric]] that a fabric of the library stands for."""
+    if name in BENDING:
+        mass, h, bend = BENDING[name]
+        return {
+            "thickness": h,
+            "density": mass / h,
+            "bending_warp": bend * GRAM_FORCE,
+            "bending_weft": bend * GRAM_FORCE,
+        }
     if name not in MEASURED:
-        raise Rejected(f'no fabric "{name}" in the library; allowed: {", ".join(MEASURED)}', ("fabric",))
+        allowed = ", ".join([*MEASURED, *BENDING])
+        raise Rejected(f'no fabric "{name}" in the library; allowed: {allowed}', ("fabric",))
     mass, (weft, coupling, warp, shear), (bend_warp, bend_bias, bend_weft) = MEASURED[name]
     h = THICKNESS[name]
     mean = coupling / (weft * warp) ** 0.5  # the root of both Poisson's ratios' product
