@@ -4,7 +4,7 @@ Half edges are collapsed (src/cpp/coarsen.hpp), so coarse vertices are fine ones
 picking. Borders, cuts, fabrics, clamps, supports and seams keep their places.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +25,23 @@ APART = 0.5  # no support stretches the surface by more; two that move apart do
 WORTH = 0.7  # of the vertices: a level that keeps more is none
 
 
+class _Collapsed(NamedTuple):
+    """What is left of n vertices and m triangles by collapsing half edges: c triangles (c,) of the fine mesh with their
+    corners (c, 3) and those at rest; of each fine vertex the coarse triangle `home` (n,) under it and its place
+    `weight` (n, 3) there; edges `feature` (f, 2) of feature lines and their `kind` (f,); hanging vertices `hang` (k, 3)
+    and `hang_weight` (k,), as in _Seams. All in fine numbering."""
+
+    triangle: Ints
+    corner: Ints
+    rest_corner: Ints
+    home: Ints
+    weight: Reals
+    feature: Ints
+    kind: Ints
+    hang: Ints
+    hang_weight: Reals
+
+
 def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | None:
     """A shell of about ratio times as many vertices and of the same mass, and its prolongation.
 
@@ -33,42 +50,59 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
     """
     if shell.moment is not None:
         return None
-    seams = _Seams(shell)
-    start = start_shape(shell)
-    solid = _clamped(shell).all(axis=1)
-    feature, kind = _features(shell, solid)
-    triangle, corner, rest_corner, home, weight, feature, kind, hang, hang_weight = _kernels.coarsen(
-        _ints(shell.triangles),
-        _ints(shell.rest_triangles),
-        _ints(_charts(shell)),
-        np.ascontiguousarray(start, dtype=float),
-        np.ascontiguousarray(shell.rest_points, dtype=float),
-        _ints(_supports(shell)),
-        _ints(seams.label),
-        _ints((_fans(shell) > 1) | seams.bound(feature, kind)),
-        _ints(feature),
-        _ints(kind),
-        _ints(seams.hang),
-        seams.weight,
-        int(np.ceil(ratio * len(shell.points))),
-    )
-    loose = np.setdiff1d(np.arange(len(shell.points)), shell.triangles)
-    kept = np.union1d(corner, loose)
-    if len(kept) > WORTH * len(shell.points):
+    seams, start, n = _Seams(shell), start_shape(shell), len(shell.points)
+    left = _collapse(shell, seams, start, int(np.ceil(ratio * n)))
+    loose = np.setdiff1d(np.arange(n), shell.triangles)
+    kept = np.union1d(left.corner, loose)
+    if len(kept) > WORTH * n:
         return None
-    number = np.full(len(shell.points), -1)
+    number = np.full(n, -1)
     number[kept] = np.arange(len(kept))
-    corners = number[corner[home]]
+    corners, weight = number[left.corner[left.home]], left.weight.copy()
     corners[loose], weight[loose] = number[loose][:, None], (1.0, 0.0, 0.0)
-    triangles = number[corner].astype(np.int32)
-    prolongation = Prolongation(shell, kept, triangles, corners, weight)
+    prolongation = Prolongation(shell, kept, number[left.corner].astype(np.int32), corners, weight)
+    coarse = _picked(shell, left, number, prolongation, seams)
+    coarse.density *= _mass(shell) / _mass(coarse)  # flat facets cut corners off
+    if shell.closing is not None:
+        coarse.closing = _closing(coarse, start[kept])
+    return (coarse, prolongation) if _holds(coarse) else None
+
+
+def _collapse(shell: Shell, seams: "_Seams", start: Reals, count: int) -> _Collapsed:
+    """The shell at its start (n, 3) m with about `count` vertices left."""
+    feature, kind = _features(shell, _clamped(shell).all(axis=1))
+    return _Collapsed(
+        *_kernels.coarsen(
+            _ints(shell.triangles),
+            _ints(shell.rest_triangles),
+            _ints(_charts(shell)),
+            np.ascontiguousarray(start, dtype=float),
+            np.ascontiguousarray(shell.rest_points, dtype=float),
+            _ints(_supports(shell)),
+            _ints(seams.label),
+            _ints((_fans(shell) > 1) | seams.bound(feature, kind)),
+            _ints(feature),
+            _ints(kind),
+            _ints(seams.hang),
+            seams.weight,
+            count,
+        )
+    )
+
+
+def _picked(
+    shell: Shell, left: _Collapsed, number: Ints, prolongation: Prolongation, seams: "_Seams"
+) -> Shell:
+    """The coarse shell with what its vertices and triangles carry on the fine one. number (n,): of coarse vertices, -1
+    where one is gone."""
+    kept, triangles, triangle = prolongation.kept, prolongation.triangles, left.triangle
     rest_kept, rest_triangles = kept, triangles
-    if not np.array_equal(corner, rest_corner):
-        rest_kept, rest_triangles = np.unique(rest_corner, return_inverse=True)
+    if not np.array_equal(left.corner, left.rest_corner):
+        rest_kept, rest_triangles = np.unique(left.rest_corner, return_inverse=True)
         rest_triangles = rest_triangles.reshape(-1, 3).astype(np.int32)
     topology = build_topology(triangles)
-    clamps = number[feature[kind & CLAMP > 0]]
-    coarse = Shell(
+    clamps, solid = number[left.feature[left.kind & CLAMP > 0]], _clamped(shell).all(axis=1)
+    return Shell(
         points=shell.points[kept],
         triangles=triangles,
         rest_points=shell.rest_points[rest_kept],
@@ -91,12 +125,8 @@ def coarsen(shell: Shell, ratio: float = 0.25) -> tuple[Shell, Prolongation] | N
         extra_mass=None if shell.extra_mass is None else prolongation.gather(shell.extra_mass),
         topology=topology,
         seam_bending=shell.seam_bending,
-        **seams.records(number, hang, hang_weight),
+        **seams.records(number, left.hang, left.hang_weight),
     )
-    coarse.density *= _mass(shell) / _mass(coarse)  # flat facets cut corners off
-    if shell.closing is not None:
-        coarse.closing = _closing(coarse, start[kept])
-    return (coarse, prolongation) if _holds(coarse) else None
 
 
 def _woven_on(shell: Shell, triangle: Ints, kept: Ints, triangles: Ints) -> Reals:
