@@ -144,6 +144,27 @@ def test_stored_steps_tell_what_crosses_any_cut(model):
             assert np.allclose(stored[part], told[part], rtol=0.0, atol=1e-9 * size)
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_a_run_with_arrays_is_asked_later(tmp_path, capsys, scale):
+    """The result has its shell."""
+    scene = cantilever()
+    points, triangles = (np.array(a) for a in scene["shell"]["mesh"])
+    scene["shell"] |= {
+        "mesh": (points / scale, triangles),
+        "rest": (points / scale, triangles),
+        "scale": scale,
+    }
+    run = voile.run(scene, tmp_path / "result")
+    with run:
+        told, stress = run.section(point=[0.06, 0, 0], normal=[1, 0, 0]), run.field("von_mises")
+    with voile.read(tmp_path / "result") as result:
+        found = result.section(point=[0.06, 0, 0], normal=[1, 0, 0])
+        assert np.allclose(found["force"], told["force"], rtol=1e-9)
+        assert np.allclose(result.field("von_mises"), stress, rtol=1e-9)
+    assert main(["section", str(tmp_path / "result"), "point=[0.06,0,0]", "normal=[1,0,0]"]) == 0
+    assert "section 0: force (" in capsys.readouterr().out
+
+
 def test_the_command_tells_sections_wherever_the_scene_is(tmp_path, capsys):
     """Beside its run; moved; changed since; and refused with a message where it is not to be had."""
     old, new, table = tmp_path / "old", tmp_path / "new", tmp_path / "table.csv"

@@ -19,6 +19,7 @@ from voile.keys.overrides import overridden
 from voile.results import Result
 from voile.results.folder import recorded_scene
 from voile.scene import Scene, read_scene
+from voile.scene.plain import ARRAYS
 from voile.scene.section import Section
 
 if TYPE_CHECKING:
@@ -29,11 +30,16 @@ SAME = 1e-9  # of the size: how far the rest shape of a run may lie from that of
 
 
 def scene_of(result: Result) -> Scene:
-    """The scene of a result, from its text there; files that it names are sought from where the run had its scene.
-    Raises InputError."""
+    """The scene of a result, from its text there; files that it names are sought from where the run had its scene, the
+    shell of a run with arrays is the result's own. Raises InputError."""
     found = recorded_scene(result.path.parent)
     path = Path(os.path.normpath(result.path.parent / found)) if found else Path("scene")
-    return dataclasses.replace(read_scene(overridden(result.scene_text), folder=path.parent), path=path)
+    tree = overridden(result.scene_text)
+    shell = tree.get("shell", {})
+    for key, points in (("mesh", result.start), ("rest", result.rest)):
+        if str(shell.get(key, "")).startswith(ARRAYS):
+            shell[key] = points / shell.get("scale", 1.0), result.triangles
+    return dataclasses.replace(read_scene(tree, folder=path.parent), path=path)
 
 
 class Stresses:

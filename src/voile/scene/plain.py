@@ -14,6 +14,7 @@ from voile.keys import Rejected
 from voile.mesh import RawMesh, mesh_of_arrays
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+$")
+ARRAYS = "arrays: "  # what stands for a mesh of arrays in a scene's text begins with it
 
 
 def plain(value: Any) -> Any:
@@ -77,7 +78,7 @@ def toml_value(value: Any) -> str:
         return str(value)
     if isinstance(value, RawMesh):
         digest = hashlib.sha256(value.points.tobytes() + value.triangles.tobytes()).hexdigest()[:16]
-        return f'"arrays: {len(value.points)} points, {len(value.triangles)} triangles, {digest}"'
+        return f'"{ARRAYS}{len(value.points)} points, {len(value.triangles)} triangles, {digest}"'
     if isinstance(value, list):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, dict):
