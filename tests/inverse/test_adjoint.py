@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inverse_shells import hanging_sheet, nearest_to, strip
+from inverse_shells import grid, hanging_sheet, nearest_to, shell, strip
 from mpi4py import MPI
 from test_direct import heavy_strip, on_incline, solve
 
@@ -15,6 +15,7 @@ from voile.inverse.forward import Forward
 from voile.inverse.objective import Change, Objective, scaled
 from voile.inverse.reduced import Reduced
 from voile.inverse.target import Target
+from voile.inverse.verify import simulate
 from voile.problem.problem import Problem
 
 
@@ -181,3 +182,16 @@ def test_a_new_objective_is_one_class():
     path = minimise(target, zero, 0.0, 20, objectives=[lift, steady])
     assert abs(lift.missed(path.state)) < 1e-3 * abs(height)
     assert lift.missed(zero) == -height
+
+
+def test_a_strip_that_nothing_can_hold_ends_no_farther_than_as_its_own_rest_shape():
+    """Iterates whose mean distance from the target falls have a tip that sags more than with no search at all."""
+    points, triangles = grid(14, 3, 0.3, 0.06)
+    s = points[:, 0]
+    arc = np.column_stack([0.3 * np.sin(s / 0.3), points[:, 1], 0.3 * (np.cos(s / 0.3) - 1.0)])
+    held = np.repeat(s[:, None] < 0.022, 3, axis=1)
+    result = solve(shell(arc, triangles, held, bending="average", young=1e5, density=300.0), iterations=8)
+    assert result.adjoint is not None and result.simulation.stable
+    result.target.release()
+    own = simulate(result.target, result.target.problem.create_vector(), 1e-8)
+    assert own.stable and result.simulation.sag <= own.sag

@@ -33,7 +33,7 @@ PRODUCTS, ACCURACY = 40, 1e-2  # of conjugate gradients in one iteration
 REASON = getattr(PETSc.TAO, "ConvergedReason", None) or PETSc.TAO.Reason  # newer and older petsc4py
 TIME = REASON.DIVERGED_USER  # its time was over
 NEAR = 2.0  # sags of an answer beside the target: a simulation that stays there
-TRIED = 6  # iterates of panels that a simulation from the target does not end in
+TRIED = 6  # iterates that a simulation from the target does not end in
 
 
 @dataclass
@@ -141,9 +141,8 @@ class Minimisation:
         self._count()
         path.rest, path.state = path.trail[-1].rest.copy(), path.trail[-1].state
         self.design.set(path.rest)
-        if self.metric is None:  # a surface, whose director angles are its state's
-            directors = ~self.target.rest.is_vertex
-            path.rest.array[directors] = path.state.array_r[directors]
+        if self.metric is None:
+            path.rest = _surface(self.target, path.trail[-1])
         return path
 
     def _note(self, tao: PETSc.TAO, keep: Keep) -> None:
@@ -176,9 +175,21 @@ class Minimisation:
         path.adjoint_solves = adjoint + self.objective.adjoint_solves
 
 
+def _surface(target: Target, iterate: Iterate) -> PETSc.Vec:
+    """The rest shape of an iterate, with the director angles of its state."""
+    rest, directors = iterate.rest.copy(), ~target.rest.is_vertex
+    rest.array[directors] = iterate.state.array_r[directors]
+    return rest
+
+
+def _kept(path: AdjointPath) -> list[Iterate]:
+    """The first and the last few iterates."""
+    return path.trail[:1] + path.trail[1:][-TRIED:]
+
+
 def _packed(target: Target, path: AdjointPath) -> Arrays:
-    """A path with the last of its trail."""
-    trail = path.trail[-1 - TRIED :]
+    """A path with the first and the last of its trail."""
+    trail = _kept(path)
     return {
         **said(
             steps=[asdict(step) for step in path.steps],
@@ -204,18 +215,22 @@ def _unpacked(target: Target, design: Design, found: Arrays) -> AdjointPath:
     return AdjointPath(trail[-1].rest, trail[-1].state, steps, forward, adjoint, figures["reason"], trail)
 
 
-def keep_what_is_reached(target: Target, path: AdjointPath, accuracy: float, panels: PanelRest) -> Simulation:
-    """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, or of the last few
-    the one that ends nearest: the search's short simulations may end elsewhere than statics do. That simulation."""
+def keep_what_is_reached(
+    target: Target, path: AdjointPath, accuracy: float, panels: PanelRest | None = None
+) -> Simulation:
+    """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, no farther off than
+    the first, or of the first and the last few the one that ends nearest: the search's short simulations may end
+    elsewhere than statics do, and what it minimises is no largest displacement. That simulation."""
     runs: list[tuple[Iterate, Simulation]] = []
-    for iterate in path.trail[: -1 - TRIED : -1]:
-        run = simulate(target, iterate.rest, accuracy, panels=panels, eigenvalue=True)
+    for iterate in reversed(_kept(path)):
+        rest = iterate.rest if panels else _surface(target, iterate)
+        run = simulate(target, rest, accuracy, panels=panels, eigenvalue=True)
         runs.append((iterate, run))
-        if run.stable and run.sag <= NEAR * iterate.sag:
+        if run.stable and run.sag <= min(NEAR * iterate.sag, path.trail[0].sag):
             break
     kept, run = min(runs, key=lambda pair: (not pair[1].stable, pair[1].sag))
     path.trail = path.trail[: path.trail.index(kept) + 1]
-    path.rest, path.state = kept.rest, kept.state
+    path.rest, path.state = kept.rest if panels else _surface(target, kept), kept.state
     return run
 
 

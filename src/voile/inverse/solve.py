@@ -200,12 +200,29 @@ class Search:
         if path.converged or self.options.method == "direct":
             return None
         self.target.load(1.0)
-        self.target.hold(path.rest)
         try:
-            return self.minimise(path.rest)
+            found = self.minimise(self._start(path))
         except NotConverged as reason:  # the last stable rest shape stays
             path.reason += f"; {reason}"
             return None
+        self.target.release()
+        keep_what_is_reached(self.target, found, self.options.tolerance)
+        self.target.rest.set(found.rest)
+        return found
+
+    def _start(self, path: DirectPath) -> PETSc.Vec:
+        """Of the direct method's last rest shape and the target's own the one whose simulation ends nearer."""
+        target, plain = self.target, self.target.problem.create_vector()
+        target.hold(path.rest)
+        if not path.fraction:  # the same
+            return path.rest
+        last = simulate(target, path.rest, self.options.tolerance)
+        target.release()
+        own = simulate(target, plain, self.options.tolerance)
+        if own.stable and not (last.stable and last.sag <= own.sag):
+            return plain
+        target.hold(path.rest)
+        return path.rest
 
     def minimise(self, start: PETSc.Vec, design: Design | None = None) -> AdjointPath:
         """The adjoint method from a start on."""
