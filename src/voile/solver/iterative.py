@@ -66,6 +66,11 @@ class Iterative(LinearSolver):
         self.usable, self.negative = True, None
         return True
 
+    @property
+    def leaves(self) -> float:
+        """See LinearSolver."""
+        return (SYMMETRIC if self.symmetric else CORRECTED) if self._iterates else 0.0
+
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """See LinearSolver."""
         if self._iterates:

@@ -123,6 +123,11 @@ class LinearSolver:
         self.negative: int | None = None
         self._coupled: int | None = None
 
+    @property
+    def leaves(self) -> float:
+        """What a solve leaves of a right-hand side, beyond round-off."""
+        return 0.0
+
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """Factors the matrix, which preconditions systems with `operator` (by default the matrix itself); `usable`."""
         pc = self.ksp.pc

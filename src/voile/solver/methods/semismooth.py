@@ -103,6 +103,7 @@ class Iterate:
 
     def __init__(self, method: Semismooth):
         self.method, self.work, self.options = method, method.work, method.options
+        self.left = 0.0  # of a first step that was not enough: the norm over the tolerance
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason. The reactions are in the contact's state."""
@@ -121,6 +122,7 @@ class Iterate:
         for it in range(most + 1):
             norm = float(np.hypot(*law_norms(problem, y, snes.getFunction()[0], tolerance)))
             course.take(norm)
+            self.left = norm / tolerance if it else 0.0
             reason = test(
                 snes, it, y, direction, norm if norm <= self.options.growth * course.first else np.nan
             )
@@ -179,7 +181,9 @@ class Iterate:
         def residual(f: PETSc.Vec) -> None:
             problem.residual(y, f, linear.force())
 
-        closed_step(problem, linear, solver, self.work.matrix, residual, direction, self.options.corrections)
+        # The first step may be all. Where another one would miss the tolerance by what a solve leaves, one is enough.
+        corrections = 1 if solver.leaves * self.left > 1.0 else self.options.corrections
+        closed_step(problem, linear, solver, self.work.matrix, residual, direction, corrections)
 
 
 def closed_step(
