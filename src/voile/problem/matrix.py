@@ -64,10 +64,10 @@ class Assembly:
         """Row starts and columns of this rank's entries. Matrices are few and it is as large as a third of one: it is
         not kept."""
         start, column = self.scatter.pattern(self.unknown.astype(np.int64))
-        column = self.unknown[column]
+        column = self.unknown.astype(np.int32)[column]
         if len(self.coupled):
             start, column = self._widened(start, column)
-        return start.astype(np.int32), column.astype(np.int32)
+        return start.astype(np.int32), column.astype(np.int32, copy=False)
 
     def prepare(
         self, matrix: PETSc.Mat, kernel: _kernels.Elastic, blocks: Blocks, likely: Ints | None = None
