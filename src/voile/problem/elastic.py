@@ -34,6 +34,7 @@ class Elastic(Term):
         self._start = start
         for twin in self._twins:
             twin.count_from(start)
+        vars(self).pop("kernel", None)  # or else there are two for a moment: 500 bytes for each triangle
         self.kernel = make_kernel(self.part, self.model, start, self.flat, self._time)
         self.kernel.set_sides(self.sides)
         if self.stiffness != 1.0:
