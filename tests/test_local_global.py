@@ -107,6 +107,14 @@ def test_motions_along_the_normals_take_few_iterations():
     assert method.counts.iterations < 30 * STEPS
 
 
+def test_forces_are_split_where_stretching_outweighs_inertia():
+    """The second solve is for stiff cloth alone, whatever its mesh."""
+    problem = Problem(shell_of(*sheet(12, 6)))
+    method = LocalGlobal(problem)
+    splits = [method.matrices(problem, step**-2)[1] is not None for step in (H, 0.05 * H)]
+    assert splits == [True, False]
+
+
 def test_iterations_without_acceleration_lower_the_potential():
     """Projections only help, so no step is too long."""
     points, triangles = sheet(12, 6)

@@ -39,14 +39,8 @@ select = { box = [[0.999999, -1.0, -1.0], [1.000001, 1.0, 1.0]] }
 axis = "z"
 """
 HEAD = '[study]\nscene = "scene.toml"\nrepeats = 1\n'
-TIMES = {
-    "seconds",
-    "wall_seconds",
-    "cpu_seconds",
-    "memory_mib",
-    "repeats",
-    "front",
-}  # columns that two runs may not share
+# Columns that two runs may not share.
+TIMES = {"seconds", "wall_seconds", "cpu_seconds", "memory_mib", "repeats", "front"}
 
 
 @pytest.fixture

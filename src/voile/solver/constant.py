@@ -8,68 +8,60 @@ import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile import _projective
-from voile.arrays import Ints
+from voile.arrays import Ints, Reals
 from voile.problem.problem import Problem
 from voile.solver.linear import Counts, LinearSolver, factored
 
-SAME = 1e-14  # of the largest entry: axes' matrices differ by round-off alone
-
 
 class ConstantMatrices:
-    """Factors positive definite matrices of a problem's unknowns, the blocks of one, and counts so on one rank."""
+    """Factors positive definite matrices of a problem's unknowns, the blocks of one, and counts so on one rank.
+    `groups`: (axes, size) own unknowns of axes along which the same vertices move; the matrices couple each axis of a
+    group alike."""
 
     def __init__(self, problem: Problem, matrices: list[PETSc.Mat], counts: Counts):
-        self.counts = counts
+        self.counts, self.groups = counts, _alike(problem)
         self._several: list[LinearSolver] = []
-        self._groups: list[list[tuple[Ints, _projective.Cholesky]]] = []
+        self._factors: list[list[_projective.Cholesky]] = []
         if problem.comm.size > 1:
             self._several = [factored(matrix, counts, "") for matrix in matrices]
+            self._b, self._x = problem.create_vector(), problem.create_vector()
             return
         with counts.factorising():
-            self._groups = [_split(problem, matrix) for matrix in matrices]
+            self._factors = [[_factor(matrix, rows[0]) for rows in self.groups] for matrix in matrices]
 
-    def solve(self, which: int, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x = A^-1 b, A one of the matrices."""
-        if self._several:
-            self._several[which].solve(b, x)
+    def solve(self, which: int, right: list[Reals]) -> None:
+        """Right-hand sides (at most axes, size) of each group become the solutions, by one of the matrices."""
+        if not self._several:
+            with self.counts.solving():
+                for factor, sides in zip(self._factors[which], right, strict=True):
+                    factor.solve(sides)
             return
-        with self.counts.solving():
-            for rows, factor in self._groups[which]:
-                right = b.array_r[rows]
-                factor.solve(right)
-                x.array[rows] = right
+        self._b.set(0.0)
+        for rows, sides in zip(self.groups, right, strict=True):
+            self._b.array[rows[: len(sides)]] = sides
+        self._several[which].solve(self._b, self._x)
+        for rows, sides in zip(self.groups, right, strict=True):
+            sides[:] = self._x.array_r[rows[: len(sides)]]
 
 
-def _split(problem: Problem, matrix: PETSc.Mat) -> list[tuple[Ints, _projective.Cholesky]]:
-    """Factors of groups of axes (their unknowns (axes, size))."""
-    start, column, value = matrix.getValuesCSR()
-    whole = sp.csr_matrix((value, column, start), shape=matrix.getSize())
-    unknowns = [np.flatnonzero(problem.layout.axis == axis) for axis in range(3)]
-    kept: list[tuple[list[Ints], sp.csr_matrix]] = []
-    for rows in filter(len, unknowns):
-        part = whole[rows][:, rows]
-        part.eliminate_zeros()
-        part.sort_indices()
-        for group, first in kept:
-            if _same(first, part):
+def _alike(problem: Problem) -> list[Ints]:
+    """The groups of axes, the same on all ranks."""
+    place, groups = problem.part.place, list[list[Ints]]()
+    for axis in range(3):
+        rows = np.flatnonzero(problem.layout.axis == axis)
+        for group in groups:
+            if problem.everywhere(np.array_equal(place[group[0]], place[rows])):
                 group.append(rows)
                 break
         else:
-            kept.append(([rows], part))
-    return [
-        (
-            np.stack(group),
-            _projective.Cholesky(part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data),
-        )
-        for group, part in kept
-    ]
+            groups.append([rows])
+    return [np.stack(group) for group in groups if not problem.everywhere(not len(group[0]))]
 
 
-def _same(a: sp.csr_matrix, b: sp.csr_matrix) -> bool:
-    if (
-        a.shape != b.shape
-        or not np.array_equal(a.indptr, b.indptr)
-        or not np.array_equal(a.indices, b.indices)
-    ):
-        return False
-    return bool(np.abs(a.data - b.data).max() <= SAME * np.abs(a.data).max())
+def _factor(matrix: PETSc.Mat, rows: Ints) -> _projective.Cholesky:
+    """Of the block of some unknowns of a matrix."""
+    start, column, value = matrix.getValuesCSR()
+    part = sp.csr_matrix((value, column, start), shape=matrix.getSize())[rows][:, rows]
+    part.eliminate_zeros()
+    part.sort_indices()
+    return _projective.Cholesky(part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data)

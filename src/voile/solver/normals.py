@@ -1,4 +1,4 @@
-"""What of a force acts along the normals of a shell."""
+"""Normals of a shell, and how free of stretching motions along them are."""
 
 import numpy as np
 
@@ -6,36 +6,24 @@ from voile.arrays import Reals, row_sums, sums
 from voile.problem.problem import Problem
 
 
-class Normals:
-    """N = sum over vertices of w n n^T, n their unit normals at positions x (n, 3) m. Stretching of a `stiffness`
-    (unknowns,), over the inertia, resists n by its share d: what triangles turn away from n and from each other, as
-    mean squares of sines. w = 1/sqrt(1 + d stiffness): 1 where the shell is flat, little on a fold."""
-
-    def __init__(self, problem: Problem, x: Reals, stiffness: Reals):
-        part, layout = problem.part, problem.layout
-        corner = x[part.corners]
-        twice = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        size = np.linalg.norm(twice, axis=1)
-        unit = twice / np.maximum(size, 1e-300)[:, None]
-        across = np.where(part.across[..., None] < 0, unit[:, None], unit[part.across // 3])
-        bent = 0.5 * (1.0 - np.einsum("mi,mki->mk", unit, across)).sum(axis=1)  # sin^2 of half the angles
-        rows = np.repeat(np.column_stack([twice, size, size * bent]), 3, axis=0)
-        around = row_sums(part.corners.ravel(), rows, len(x))
-        none = np.zeros(len(part.edge))
-        normal = layout.collect(np.concatenate([around[:, :3].ravel(), none]))  # sewn vertices share theirs
-        area, bent = (layout.diagonal(np.concatenate([np.repeat(around[:, k], 3), none])) for k in (3, 4))
-        area = np.maximum(area, 1e-300)
-        self._place, self._count = part.place, len(x) + len(none)
-        square = self._sums(normal**2)
-        resists = np.maximum(1.0 - square / area**2, 0.0) + bent / area
-        weight = 1.0 / np.sqrt(1.0 + resists * stiffness)
-        self._way = np.sqrt(weight / np.maximum(square, 1e-300)) * normal
-
-    def along(self, force: Reals) -> Reals:
-        """N f of the own unknowns' (unknowns,)."""
-        found: Reals = self._way * self._sums(self._way * force)
-        return found
-
-    def _sums(self, values: Reals) -> Reals:
-        found: Reals = sums(self._place, values, self._count)[self._place]
-        return found
+def normals(problem: Problem, x: Reals, stiffness: Reals) -> tuple[Reals, Reals]:
+    """Unit normals n of the vertices at positions x (n, 3) m, and w n: (own unknowns,) each. Stretching of a
+    `stiffness` (own unknowns,), over the inertia, resists n by its share d: what triangles turn away from n and from
+    each other, as mean squares of sines. w = 1/sqrt(1 + d stiffness): 1 where the shell is flat, little on a fold."""
+    part, layout = problem.part, problem.layout
+    corner = x[part.corners]
+    twice = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    size = np.linalg.norm(twice, axis=1)
+    unit = twice / np.maximum(size, 1e-300)[:, None]
+    across = np.where(part.across[..., None] < 0, unit[:, None], unit[part.across // 3])
+    bent = 0.5 * (1.0 - np.einsum("mi,mki->mk", unit, across)).sum(axis=1)  # sin^2 of half the angles
+    rows = np.repeat(np.column_stack([twice, size, size * bent]), 3, axis=0)
+    around = row_sums(part.corners.ravel(), rows, len(x))
+    none = np.zeros(len(part.edge))
+    normal = layout.collect(np.concatenate([around[:, :3].ravel(), none]))  # sewn vertices share theirs
+    area, bent = (layout.diagonal(np.concatenate([np.repeat(around[:, k], 3), none])) for k in (3, 4))
+    area = np.maximum(area, 1e-300)
+    square = sums(part.place, normal**2, len(x) + len(none))[part.place]
+    resists = np.maximum(1.0 - square / area**2, 0.0) + bent / area
+    normal /= np.sqrt(np.maximum(square, 1e-300))
+    return normal, normal / np.sqrt(1.0 + resists * stiffness)
