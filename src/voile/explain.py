@@ -9,7 +9,7 @@ from voile.elastic.plate import Bending, bending_of
 from voile.problem.follower import conservative
 from voile.problem.shell import Shell
 from voile.scene import Scene
-from voile.solver.multigrid import LARGE
+from voile.solver.multigrid import LARGE, unfit
 from voile.solver.nested import Options
 from voile.wiring import Model, weight
 
@@ -107,9 +107,9 @@ SYSTEMS = "systems by CG or GMRES with ILU(0), by MUMPS in steps where these do 
 def _by_levels(scene: Scene, model: Model, unknowns: int) -> bool:
     """Whether systems are solved by multigrid without being asked to (see solver.multigrid.with_levels)."""
     shell = model.shell
-    contact = model.obstacles or scene.contact.self_contact
+    contact = bool(model.obstacles) or scene.contact.self_contact
     stepped = scene.scene.task in ("statics", "modes") and scene.statics.control != "arc-length"
-    return stepped and unknowns > LARGE and conservative(shell) and shell.axes is None and not contact
+    return stepped and unknowns > LARGE and not unfit(contact, conservative(shell), shell.axes is not None)
 
 
 def _solver(scene: Scene, model: Model, by_levels: bool) -> str:

@@ -39,16 +39,20 @@ def asked() -> bool:
     return bool(PETSc.Options().getString("pc_type", "") == PETSc.PC.Type.MG)
 
 
+def unfit(contact: bool, potential: bool, turned: bool) -> str:
+    """What a problem has that levels cannot serve, empty where nothing: contact, loads without a potential, or supports
+    along local axes."""
+    if contact:
+        return "contact"
+    if not potential:
+        return "loads without a potential"
+    return "supports along local axes" if turned else ""
+
+
 def with_levels(problem: Problem, direct: LinearSolver) -> LinearSolver:
     """What solves a problem's symmetric systems: by multigrid where options ask for it, or else, without any choice,
     where there are many unknowns; by `direct` elsewhere. Raises InputError where it is asked for and cannot be."""
-    why = ""
-    if problem.contact:
-        why = "contact"
-    elif not problem.conservative:
-        why = "loads without a potential"
-    elif problem.turned:
-        why = "supports along local axes"
+    why = unfit(problem.contact is not None, problem.conservative, problem.turned)
     if asked() and why:
         raise InputError(
             f"PETSc options: pc_type mg with {why}; allowed: in statics without contact, with loads that have a "
