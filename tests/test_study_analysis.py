@@ -8,6 +8,7 @@ import pytest
 from test_study import POINT, SCENE
 
 from voile.mesh import read_mesh, refine, write_obj
+from voile.study import report
 from voile.study.analysis import analyse
 from voile.study.execute import Record
 from voile.study.measures import figure, mean_weights
@@ -93,6 +94,16 @@ def test_limits_far_off_the_finest_run_are_guesses(rate, guess, findings):
         found = findings(text % accuracy, lambda s: 1.0 + 0.3 * 2.0 ** (-rate * s["refine"]), lambda s: 1.0)
         assert found.references["tip"] == pytest.approx(1.0, abs=1e-9)
         assert found.guesses == (["tip"] if told else [])
+
+
+def test_measures_without_a_reference_are_named(findings):
+    """Values that go to and fro have no limit."""
+    text = 'reference = "extrapolate"\n[vary]\nrefine = [0, 1, 2]\n'
+    found = findings(text, lambda s: [1.0, 2.0, 1.5][s["refine"]], lambda s: 1.0)
+    assert not found.references and all(row.error is None for row in found.rows)
+    assert "no reference of tip: no error counts it" in report.text(found)
+    steady = findings(text, lambda s: 1.0 + 0.25 ** s["refine"], lambda s: 1.0)
+    assert "no reference" not in report.text(steady)
 
 
 def test_small_by_chance_is_not_recommended(findings):

@@ -210,7 +210,9 @@ def _table(findings: Findings) -> list[str]:
         "  ".join(f"{cell:<{w}}" for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines
     ]
     values = ", ".join(f"{n} {v:.8g}" for n, v in findings.references.items())
-    below = [f"* on the front; reference: {values} ({findings.about})"]
+    below = [f"* on the front; reference: {values} ({findings.about})"] if values else []
+    if left := [n for n in names if n not in findings.references]:
+        below.append(f"no reference of {', '.join(left)}: no error counts it")
     if findings.guesses:
         below.append(
             f"the reference of {', '.join(findings.guesses)} is a guess, further off than the value changed last: "
