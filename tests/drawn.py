@@ -59,14 +59,18 @@ def _strip(rng: np.random.Generator, vertices: int) -> Drawn:
     return shape, points, triangles, {"fix": [{"select": {"box": _around([0.0, None, None])}, "clamp": True}]}
 
 
+def _ring(rows: int, cells: int) -> tuple:
+    """Row and column of the vertices of a closed tube of quads, and the quads' corners: upper two, lower two."""
+    i, j = np.meshgrid(np.arange(rows + 1), np.arange(cells), indexing="ij")
+    index, right = i * cells + j, i[:-1] * cells + (j[:-1] + 1) % cells
+    return i, j, (index[:-1], right, index[1:], right + cells)
+
+
 def _around_axis(rng: np.random.Generator, vertices: int, length: float, girth: float) -> tuple:
     """Share along (0 at the top) and angle of the vertices of a closed tube, and its triangles."""
     cells = max(8, 2 * round(0.5 * np.sqrt(vertices * girth / length)))
     rows = max(3, round(vertices / cells))
-    i, j = np.meshgrid(np.arange(rows + 1), np.arange(cells), indexing="ij")
-    index = i * cells + j
-    right = i[:-1] * cells + (j[:-1] + 1) % cells
-    a, b, c, d = index[:-1], right, index[1:], right + cells
+    i, j, (a, b, c, d) = _ring(rows, cells)
     odd = ((i[:-1] + j[:-1]) % 2).astype(bool)
     one = np.where(odd[..., None], np.stack([a, c, b], -1), np.stack([a, c, d], -1))
     two = np.where(odd[..., None], np.stack([b, c, d], -1), np.stack([a, d, b], -1))
@@ -149,7 +153,7 @@ def _hat(rng: np.random.Generator, vertices: int) -> Drawn:
     for corner in lengths[1:-1]:
         at[np.abs(at - corner).argmin()] = corner
     radius, level = (np.interp(at, lengths, corners[:, k]) for k in (0, 1))
-    i, j = np.meshgrid(np.arange(rows + 1), np.arange(cells), indexing="ij")
+    i, j, (a, b, c, d) = _ring(rows, cells)
     angle = 2 * np.pi * j / cells
     # chords between the panels' seams: flat panels
     sector = 2 * np.pi / sides
@@ -158,9 +162,6 @@ def _hat(rng: np.random.Generator, vertices: int) -> Drawn:
     points = np.stack(
         [0.0785 * band * r * np.cos(angle), level[i], 0.0985 * band * r * np.sin(angle)], -1
     ).reshape(-1, 3)
-    index = i * cells + j
-    right = i[:-1] * cells + (j[:-1] + 1) % cells
-    a, b, c, d = index[:-1], right, index[1:], right + cells
     triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)]).reshape(-1, 3)
     worn = generator("worn")
     bodies = [worn._body(body) for body in HEAD]
@@ -183,16 +184,7 @@ def _skirt(rng: np.random.Generator, vertices: int) -> Drawn:
     radius = radius * (1 + depth * free * np.cos(waves * angle))
     points = np.column_stack([radius * np.cos(angle), -length * share, radius * np.sin(angle)])
     if hold != "on hips":
-        return (
-            hold,
-            points,
-            triangles,
-            {
-                "fix": [{"select": {"boundary": 0}}]
-                if False
-                else [{"select": {"box": _around([None, 0.0, None])}}]
-            },
-        )
+        return hold, points, triangles, {"fix": [{"select": {"box": _around([None, 0.0, None])}}]}
     body = [{"shape": "ellipsoid", "center": [0.0, -0.09, 0.0], "radii": [0.125, 0.19, 0.125]}]
     points = _on(points, body, rng.uniform(0.0, 0.001, len(points)))
     return hold, points, triangles, {"obstacle": _friction(rng, body)}

@@ -49,7 +49,8 @@ class AdjointStep:
 @dataclass
 class AdjointPath:
     """The best iterate: rest displacements with the director angles of their equilibrium `state`, the last of the
-    `trail` of ever better ones; reason: TAO's."""
+    `trail` of ever better ones; reason: TAO's; reached: the simulation of it from the target, where it was chosen by
+    that."""
 
     rest: PETSc.Vec
     state: PETSc.Vec
@@ -58,6 +59,7 @@ class AdjointPath:
     adjoint_solves: int = 0
     reason: int = 0
     trail: list[Iterate] = field(default_factory=list)
+    reached: Simulation | None = None
 
 
 Progress = Callable[[AdjointStep], None]
@@ -231,6 +233,7 @@ def keep_what_is_reached(
     kept, run = min(runs, key=lambda pair: (not pair[1].stable, pair[1].sag))
     path.trail = path.trail[: path.trail.index(kept) + 1]
     path.rest, path.state = kept.rest if panels else _surface(target, kept), kept.state
+    path.reached = run
     return run
 
 

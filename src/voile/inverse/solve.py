@@ -283,7 +283,8 @@ class Search:
             simulation, disturbed = self.proofs(z), self.proofs(z, True)
             held = simulate(target, z, tolerance, start=nearest.state)
             return simulation, disturbed, held, nearest.eigenvalue, nearest.mode
-        simulation = simulate(target, z, tolerance, eigenvalue=adjoint is not None)
+        reached = adjoint.reached if adjoint else None
+        simulation = reached or simulate(target, z, tolerance, eigenvalue=adjoint is not None)
         disturbed = simulate(target, z, tolerance, disturbed=True)
         if adjoint:
             mode = path.mode or target.problem.create_vector()

@@ -19,14 +19,14 @@ class Rim(NamedTuple):
     origin: Reals
     potential: bool
 
-    def here(self, part: Part) -> tuple[Ints, Reals]:
-        """Local ends (k, 2) and jumps (k,) of those that count on this rank."""
+    def here(self, part: Part) -> tuple[Ints, Reals, Reals]:
+        """Local ends (k, 2) and jumps (k,) of those that count on this rank, and the origin."""
         order = np.argsort(part.triangle, kind="stable")
         last = max(len(order) - 1, 0)
         own = order[np.minimum(np.searchsorted(part.triangle, self.half // 3, sorter=order), last)]
         counts = (part.triangle[own] == self.half // 3) & (part.weight[own] > 0.0)
         corner = self.half[counts, None] % 3 + [1, 2]
-        return part.corners[own[counts, None], corner % 3], self.jump[counts]
+        return part.corners[own[counts, None], corner % 3], self.jump[counts], self.origin
 
 
 def pressure_rim(shell: Shell) -> Rim:
@@ -65,12 +65,13 @@ def conservative(shell: Shell) -> bool:
     return shell.moment is None and not (shell.pressed and not pressure_rim(shell).potential)
 
 
-def pressure_energy(x: Reals, part: Part, rim: Rim) -> float:
+def pressure_energy(x: Reals, part: Part, rim: tuple[Ints, Reals, Reals]) -> float:
     """-p V (J), V up to a constant the volume between this rank's surface at x (vertices, 3) and its start: that of
-    cones from the origin over its triangles, the sum of x0.(x1 x x2)/6, and over the ribbons that the rim sweeps."""
-    ends, jump = rim.here(part)
+    cones from the origin over its triangles, the sum of x0.(x1 x x2)/6, and over the ribbons that the rim sweeps. rim:
+    as `Rim.here` has it."""
+    ends, jump, origin = rim
     a, b = ends.T
-    now, was = x - rim.origin, part.points - rim.origin
+    now, was = x - origin, part.points - origin
     return -float(
         (part.pressure * part.weight) @ _cones(*now[part.corners.T])
         + jump @ (_cones(now[b], now[a], was[a]) + _cones(now[b], was[a], was[b]))

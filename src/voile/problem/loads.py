@@ -19,9 +19,8 @@ LOADS = ("gravity", "pressure", "force", "moment")
 
 
 class Loads(Term):
-    """Minus the work of the loads. gravity (3,) m/s^2; rim: where pressure ends, None
-    without pressure; laws in time by LOADS, by default in proportion; `share`: of all that acts.
-    Moments turn triangles of `elastic`'s kernel."""
+    """Minus the work of the loads. gravity (3,) m/s^2; rim: where pressure ends, None without pressure; laws in time by
+    LOADS, by default in proportion; `share`: of all that acts. Moments turn triangles of `elastic`'s kernel."""
 
     def __init__(
         self,
@@ -31,7 +30,8 @@ class Loads(Term):
         rim: Rim | None,
         laws: Mapping[str, Load] | None = None,
     ):
-        self.part, self.elastic, self.gravity, self.rim = part, elastic, gravity, rim
+        self.part, self.elastic, self.gravity = part, elastic, gravity
+        self.rim = None if rim is None else rim.here(part)
         self.laws = {name: Load() for name in LOADS} | dict(laws or {})
         self.pressed = rim is not None
         self.moments = EndMoments(part) if part.moment.any() else None

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from voile.arrays import Reals, row_sums, sums
+from voile.arrays import Reals, row_sums, sums, units
 from voile.problem.problem import Problem
+from voile.problem.shell import area_vectors
 
 
 def normals(problem: Problem, x: Reals, stiffness: Reals) -> tuple[Reals, Reals]:
@@ -11,10 +12,8 @@ def normals(problem: Problem, x: Reals, stiffness: Reals) -> tuple[Reals, Reals]
     `stiffness` (own unknowns,), over the inertia, resists n by its share d: what triangles turn away from n and from
     each other, as mean squares of sines. w = 1/sqrt(1 + d stiffness): 1 where the shell is flat, little on a fold."""
     part, layout = problem.part, problem.layout
-    corner = x[part.corners]
-    twice = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    size = np.linalg.norm(twice, axis=1)
-    unit = twice / np.maximum(size, 1e-300)[:, None]
+    twice = area_vectors(x, part.corners)
+    size, unit = np.linalg.norm(twice, axis=1), units(twice)
     across = np.where(part.across[..., None] < 0, unit[:, None], unit[part.across // 3])
     bent = 0.5 * (1.0 - np.einsum("mi,mki->mk", unit, across)).sum(axis=1)  # sin^2 of half the angles
     rows = np.repeat(np.column_stack([twice, size, size * bent]), 3, axis=0)

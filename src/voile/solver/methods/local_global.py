@@ -4,8 +4,9 @@ An implicit step x minimises c/2 |x - predicted|^2_M + E(x) under contact's laws
 what is free of energy (local); the positions come from a constant matrix A = c M + K (global), factored once per run.
 With the forces F of all terms that is x <- x + A^-1 (F(x) + r), for K is the energies' Hessian with projections held.
 Held projections resist a motion along the normals as they resist stretching, of which the shell does nothing where it
-is flat. So N (solver/normals.py) of the forces goes through another constant matrix B, with a share of the stretching:
-x <- x + (T A^-1 T + N B^-1 N) (F(x) + r), T = 1 - N. That is a third of the iterations on stiff cloth.
+is flat. So of stiff cloth W, the forces along weighted normals w n (solver/normals.py), go through another constant
+matrix B, with a share of the stretching: x <- x + (T A^-1 T + W^T B^-1 W) (F(x) + r), T = 1 - n W. That is a third of
+the iterations.
 Reactions r are estimated in Gauss-Seidel sweeps: the vertices of a contact go where B leads them, and the laws cut that
 motion. A fixed point obeys balance and laws exactly; stopped before, it is a prediction.
 """

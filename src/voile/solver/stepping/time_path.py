@@ -123,7 +123,7 @@ class Stepper:
         asked, path = self.asked, self.path
         if asked.scheme.memory and path.time == 0.0:
             self._begin()
-        if path.count and self._rests():  # a run that was killed after its last step
+        if path.count and self._rests(self._speed()):  # a run that was killed after its last step
             return
         while path.time < asked.duration:
             h, end = self.path.length, path.time + self.path.length
@@ -148,15 +148,15 @@ class Stepper:
             path.kinematics = self.k
             if on_step:
                 on_step(done, path)
-            if self._rests():
+            if self._rests(done.speed):
                 return
         path.converged, path.reason = True, "end of the simulated time"
 
-    def _rests(self) -> bool:
-        """Whether nothing is faster than asked for, or would be in the time in which loads move the shell by its
-        size, or as the scene goes on. The path says so."""
+    def _rests(self, speed: float) -> bool:
+        """Whether nothing is faster than asked for (now the fastest vertex has that speed, m/s), or would be in the
+        time in which loads move the shell by its size, or as the scene goes on. The path says so."""
         limit, problem, path = self.asked.stop_at_rest, self.problem, self.path
-        if not self._speed() < limit or path.time < self.changes:
+        if not speed < limit or path.time < self.changes:
             return False
         acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
         if not acceleration < limit * float(np.sqrt(slow_rate(problem))):
