@@ -17,13 +17,12 @@ SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
 
 class Elastic(Term):
     """The energy of a model, by its kernel; flat: the rest shape has no folds. `stiffness`: a factor on it, 1 but while
-    a step in time is damped. `passes`: hinges may turn through 180 degrees, as they may in time where no layer is in
-    another's way; equilibria never need it. `sides` (m, 3) marks the half edges whose hinges go on through them, and
-    from which side. `seconds`: spent in it, and in what goes into the matrix with it."""
+    a step in time is damped. `sides` (m, 3) marks the half edges whose hinges go on through 180 degrees, and from which
+    side. `seconds`: spent in it, and in what goes into the matrix with it."""
 
     def __init__(self, part: Part, model: str, flat: bool):
         self.part, self.model, self.flat = part, model, flat
-        self.seconds, self.stiffness, self.passes = 0.0, 1.0, False
+        self.seconds, self.stiffness = 0.0, 1.0
         self._twins: list[Elastic] = []
         self.sides: Ints = np.zeros((len(part.corners), 3), dtype=np.int32)
         self._time, self._turns = 0.0, bool((part.half_edge_clamp[:, 6] >= 0.0).any())
@@ -60,13 +59,12 @@ class Elastic(Term):
             twin.take_sides(self.sides)
             twin.count_from(self._start)
             self._twins.append(twin)
-        self._twins[number].passes = self.passes
         return self._twins[number]
 
     def sides_at(self, at: Point) -> Ints:
         """`sides` for what goes on from a point: of the hinges within 90 degrees of 180 there. One that has come from
         the other side by 270 degrees has folded to this one by 90."""
-        found: Ints = self.at(at.time).fold_sides(at.u, at.phi) if self.passes else np.zeros_like(self.sides)
+        found: Ints = self.at(at.time).fold_sides(at.u, at.phi) if at.passes else np.zeros_like(self.sides)
         return found
 
     def take_sides(self, sides: Ints) -> None:
@@ -154,7 +152,7 @@ class Elastic(Term):
     def _admits(self, at: Point, u: Reals, phi: Reals) -> bool:
         """Whether the way to displacements u and director angles phi is one."""
         kernel = self.at(at.time)
-        folds = not self.passes and kernel.folds_over(at.u, at.phi, u, phi)
+        folds = not at.passes and kernel.folds_over(at.u, at.phi, u, phi)
         return not folds and bool(np.isfinite(sum(kernel.energy(u, phi))))
 
 

@@ -62,7 +62,7 @@ class Problem:
         self.loads = Loads(part, self.elastic, *loads)
         self.springs = springs_of(part, self.loads.own, comm)
         self.terms: tuple[Term, ...] = (self.elastic, self.loads, *self.springs)
-        self.time = 1.0
+        self.time, self.passes = 1.0, False
         self.contact: Contact | None = None
         self.monitor: Monitor | None = None
         self.own = self.loads.own
@@ -85,26 +85,29 @@ class Problem:
 
     def at(self, time: float) -> "Problem":
         """The same problem at a time."""
-        other = copy.copy(self)
-        other.time = time
-        return other
+        return self._with(time=time)
+
+    def with_passing_hinges(self) -> "Problem":
+        """The same problem, in which hinges may turn through 180 degrees, as they may in time where no layer is in
+        another's way; equilibria never need it."""
+        return self._with(passes=True)
 
     def with_terms(self, *terms: Term) -> "Problem":
         """The same problem with more terms in its potential."""
-        other = copy.copy(self)
-        other.terms = (*self.terms, *terms)
-        return other
+        return self._with(terms=(*self.terms, *terms))
 
     def with_means(self, elastic: Term, loads: Loads, springs: tuple[Term, ...], *terms: Term) -> "Problem":
         """The same problem with other elastic forces, loads and springs, and more terms."""
-        other, kept = copy.copy(self), self.terms[2 + len(self.springs) :]
-        other.loads, other.springs, other.terms = loads, springs, (elastic, loads, *springs, *kept, *terms)
-        return other
+        kept = self.terms[2 + len(self.springs) :]
+        return self._with(loads=loads, springs=springs, terms=(elastic, loads, *springs, *kept, *terms))
 
     def with_contact(self, contact: Contact | None, *terms: Term) -> "Problem":
         """The same problem with a contact and the terms that it always needs, in place of its own."""
+        return self._with(contact=contact, terms=(self.elastic, self.loads, *self.springs, *terms))
+
+    def _with(self, **changed: Any) -> "Problem":
         other = copy.copy(self)
-        other.contact, other.terms = contact, (self.elastic, self.loads, *self.springs, *terms)
+        vars(other).update(changed)
         return other
 
     def set_rest(self, points: Reals, flat: bool = False) -> None:
@@ -181,7 +184,8 @@ class Problem:
         """Where the terms are evaluated."""
         u, phi = self.shape(y)
         displacement = self.layout.base + u
-        return Point(u, phi, displacement, self.part.points + displacement.reshape(-1, 3), self.time)
+        x = self.part.points + displacement.reshape(-1, 3)
+        return Point(u, phi, displacement, x, self.time, self.passes)
 
     # ---- potential, residual, tangent ----
 

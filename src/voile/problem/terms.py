@@ -12,13 +12,15 @@ from voile.problem.matrix import Blocks
 @dataclass(frozen=True)
 class Point:
     """Where a potential is evaluated, in local degrees of freedom: u (3 vertices,) m counts from the unknowns' origin,
-    `displacement` (3 vertices,) m from the start shape; phi (edges,) director angles; positions (vertices, 3) m."""
+    `displacement` (3 vertices,) m from the start shape; phi (edges,) director angles; positions (vertices, 3) m.
+    passes: hinges may turn through 180 degrees on the way on."""
 
     u: Reals
     phi: Reals
     displacement: Reals
     positions: Reals
     time: float
+    passes: bool = False
 
     def over_dofs(self, forces: Reals) -> Reals:
         """(dofs,) of forces on the vertices (vertices, 3) N alone."""

@@ -57,8 +57,8 @@ def sew(shell: Shell | None, comm: MPI.Comm) -> Shell | None:
             bars=None,
             welds=None,
         )
-    problem = Problem(loose, comm)
-    problem.elastic.passes = True  # panels that are drawn together lie through each other at first
+    # Panels that are drawn together lie through each other at first.
+    problem = Problem(loose, comm).with_passing_hinges()
     work = Workspace(problem)
     if asked():  # levels are for load steps, of the sewn shell
         use_cholesky(work.symmetric.ksp.pc)

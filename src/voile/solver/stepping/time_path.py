@@ -105,7 +105,8 @@ class Stepper:
         solver.counts.add(path.counts)
         path.counts = solver.counts
         self.mass, self.folds = mean_mass(problem), Folds()
-        problem.elastic.passes = not (problem.contact and problem.contact.itself)
+        if not (problem.contact and problem.contact.itself):
+            self.problem = self.problem.with_passing_hinges()
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
         if problem.contact:
             problem.contact.closes = let_out(problem)
