@@ -142,7 +142,7 @@ def is_energy(name: str) -> bool:
 def unit(name: str) -> str:
     """SI unit of a recorded figure, "" where it has none."""
     if name.startswith("support_"):
-        return "N"
+        return "N m" if name.endswith("_moment") else "N"
     return "J" if is_energy(name) else UNITS.get(name, "")
 
 

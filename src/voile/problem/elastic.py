@@ -128,6 +128,8 @@ class Elastic(Term):
         half = part.half_edge_clamp[:, 0].astype(np.int64)
         row = np.flatnonzero(part.weight[half // 3] > 0.0)
         half = half[row]
+        if not len(row):
+            return row, np.zeros((0, 3))
         slope = self.at(at.time).stresses(at.u, at.phi)[:, 5:].ravel()[half]  # dW/dalpha
         start, end = (at.positions[part.corners[half // 3, (half + turn) % 3]] for turn in (1, 2))
         along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from voile import _kernels
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.problem.elastic import Elastic
 from voile.problem.matrix import Blocks
 from voile.problem.terms import Point, Term
@@ -75,6 +75,11 @@ class MeanElastic(Term):
         """That of `elastic`, with the mean of its moments."""
         places = self._places(at)
         return sum(weight * elastic.clamp_work(there, since, until) for elastic, there, _, weight in places)
+
+    def clamp_moments(self, at: Point) -> tuple[Ints, Reals]:
+        """Those of `elastic`, the mean of its moments."""
+        parts = [(weight, *elastic.clamp_moments(there)) for elastic, there, _, weight in self._places(at)]
+        return parts[0][1], np.sum([weight * moments for weight, _, moments in parts], axis=0)
 
     def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
         try:

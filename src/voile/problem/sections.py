@@ -11,7 +11,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.problem.partition import gathered
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
-from voile.problem.support_forces import clamp_moments, seams_of
+from voile.problem.support_forces import clamp_ends, seams_of
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ def section_table(
     elastic = problem.elastic.forces(at)[: problem.layout.vertices].reshape(-1, 3)
     forces, x = gathered(problem, elastic), gathered(problem, problem.positions(y))
     loads = gathered(problem, -elastic - problem.reactions(y))
-    pieces = problem.comm.gather(clamp_moments(problem, y))
+    row, turning = problem.elastic.clamp_moments(at)
+    pieces = problem.comm.gather((clamp_ends(problem, row), turning))
     if pieces is None or shell is None or forces is None or loads is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))

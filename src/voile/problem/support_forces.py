@@ -1,6 +1,7 @@
 """What supports and clamps exert on a shell, and its sums over each [[fix]]."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,25 @@ from voile.problem.shell import Shell
 ROUND_OFF = 1e-9  # of 1: a direction that others hold already
 
 
-def support_forces(problem: Problem, y: PETSc.Vec) -> Reals:
-    """(local vertices, 3) forces (N) that supports exert on the shell, complete for this rank's own: what balances
-    elastic forces, loads and contact along degrees of freedom that follow no unknown. Inertia is left out."""
+@dataclass(frozen=True)
+class Supporting:
+    """What supports exert on the shell: forces (local vertices, 3) N along degrees of freedom that follow no unknown,
+    complete for this rank's own; moments (k, 3) N m of the clamps of some rows (k,) of part.half_edge_clamp, those
+    whose triangles count on this rank."""
+
+    forces: Reals
+    row: Ints
+    moments: Reals
+
+
+def support_forces(problem: Problem, y: PETSc.Vec) -> Supporting:
+    """What balances elastic forces, loads and contact at rest."""
     at, count = problem.point(y), problem.layout.vertices
     forces = problem.inner_forces(at)[:count]
     if problem.contact:
         forces += problem.contact.reactions(at.positions, problem.time).ravel()
     found: Reals = -np.einsum("nij,nj->ni", problem.kept, forces.reshape(-1, 3))
-    return found
+    return Supporting(found, *problem.elastic.clamp_moments(at))
 
 
 def driven(problem: Problem) -> Flags:
@@ -38,24 +49,23 @@ def driven(problem: Problem) -> Flags:
     return problem.moves & np.where(carried[:, None], problem.kept.any(axis=2), alone)
 
 
-def clamp_moments(problem: Problem, y: PETSc.Vec) -> tuple[Ints, Reals]:
-    """(k, 2) vertices in the input's order and (k, 3) moments (N m) on the shell of the clamps of the half edges whose
-    triangles count on this rank."""
+def clamp_ends(problem: Problem, row: Ints) -> Ints:
+    """(k, 2) vertices in the input's order of the edges of some rows (k,) of part.half_edge_clamp."""
     part = problem.part
-    row, moments = problem.elastic.clamp_moments(problem.point(y))
     half = part.half_edge_clamp[row, 0].astype(np.int64)
     ends = np.column_stack([part.corners[half // 3, (half + turn) % 3] for turn in (1, 2)])
-    return part.vertex[ends], moments
+    found: Ints = part.vertex[ends]
+    return found
 
 
 def support_table(
-    problem: Problem, y: PETSc.Vec, shell: Shell | None, holds: Sequence[Hold] | None
+    problem: Problem, y: PETSc.Vec, given: Supporting, shell: Shell | None, holds: Sequence[Hold] | None
 ) -> list[dict[str, Any]] | None:
-    """On rank 0 (which has shell and holds) per [[fix]] its name, force (N) on the shell and moment (N m) about the
-    centroid of its vertices as they are now. What several hold along one direction counts with the first; what is sewn
-    to a held vertex counts with that."""
-    forces, x = gathered(problem, support_forces(problem, y)), gathered(problem, problem.positions(y))
-    pieces = problem.comm.gather(clamp_moments(problem, y))
+    """On rank 0 (which has shell and holds) what is `given` at y, per [[fix]]: its name, force (N) on the shell and
+    moment (N m) about the centroid of its vertices as they are now. What several hold along one direction counts with
+    the first; what is sewn to a held vertex counts with that."""
+    forces, x = gathered(problem, given.forces), gathered(problem, problem.positions(y))
+    pieces = problem.comm.gather((clamp_ends(problem, given.row), given.moments))
     if pieces is None or shell is None or holds is None or forces is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
@@ -78,10 +88,10 @@ def support_table(
 
 def _shares(holds: Sequence[Hold], members: Flags, forces: Reals) -> list[Reals]:
     """(n, 3) of each hold of the forces (n, 3) N: along its directions, together all. members (n, holds)."""
-    shares = [np.zeros_like(forces) for _ in holds]
-    alike, which = np.unique(members, axis=0, return_inverse=True)
+    shares, held = [np.zeros_like(forces) for _ in holds], np.flatnonzero(members.any(axis=1))
+    alike, which = np.unique(members[held], axis=0, return_inverse=True)
     for kind, tables in enumerate(alike):
-        vertices, rows = np.flatnonzero(which.ravel() == kind), np.zeros((0, 3))
+        vertices, rows = held[which.ravel() == kind], np.zeros((0, 3))
         owner: list[int] = []
         for k in np.flatnonzero(tables):
             for direction in holds[k].directions:

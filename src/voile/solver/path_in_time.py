@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from voile.arrays import Flags
 from voile.problem.damping import Air, Damping
+from voile.problem.support_forces import Supporting
 from voile.solver.linear import Counts
 from voile.solver.stepping.books import Books
 from voile.solver.stepping.schemes import Kinematics, Scheme
@@ -57,8 +58,9 @@ class TimeStep:
 
 @dataclass
 class TimePath:
-    """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False. For
-    the next step: its length (s), the largest force without loads so far (N), which vertices (n,) something pushed."""
+    """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False; what
+    supports exerted in it. For the next step: its length (s), the largest force without loads so far (N), which
+    vertices (n,) something pushed."""
 
     state: PETSc.Vec
     kinematics: Kinematics
@@ -67,6 +69,7 @@ class TimePath:
     converged: bool = False
     reason: str = ""
     last: TimeStep | None = None
+    supporting: Supporting | None = None
     methods: list[str] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     attempts: int = 0

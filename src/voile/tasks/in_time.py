@@ -59,7 +59,7 @@ class TimeSteps:
             self.save(path)
 
     def __call__(self, step: TimeStep, path: TimePath) -> None:
-        self.history.add(row(self.problem, step, path))
+        self.history.add(row(self.problem, step, path) | self._supports(step, path))
         if step.residual > MISSED * step.tolerance:
             self.short, self.worst = self.short + 1, max(self.worst, step.residual / step.tolerance)
         if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
@@ -67,6 +67,14 @@ class TimeSteps:
             if self.job.restarts.due():
                 self.save(path)
         self.job.progress.time_step(step, self.duration)  # what is printed is there
+
+    def _supports(self, step: TimeStep, path: TimePath) -> dict[str, Reals]:
+        """What each [[fix]] exerted in a step, on rank 0: columns of the history."""
+        columns: dict[str, Reals] = {}
+        table = self.job.supports(self.problem.at(step.time), path.state, path.supporting)
+        for k, support in enumerate(table):
+            columns |= {f"support_{k}": support["force"], f"support_{k}_moment": support["moment"]}
+        return columns
 
     def finish(self, path: TimePath) -> None:
         """Writes the last good step where it is not, and where the run ended."""

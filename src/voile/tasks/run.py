@@ -31,7 +31,7 @@ from voile.problem.problem import Problem
 from voile.problem.sections import section_table
 from voile.problem.shell import Shell
 from voile.problem.stress_fields import shell_fields
-from voile.problem.support_forces import support_table
+from voile.problem.support_forces import Supporting, support_forces, support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.results.folder import RESULT, SUMMARY, set_aside
 from voile.results.restart import Restarts
@@ -173,21 +173,25 @@ class Run:
             return {"supports": []}
         at = problem.at(path.last.factor if isinstance(path.last, LoadStep) else path.last.time)
         model, y = self.model, path.state
-        shell, holds = (model.shell, model.holds) if model else (None, None)
-        found = {"supports": (support_table(at, y, shell, holds) or []) if problem.held else []}
+        given = path.supporting if isinstance(path, TimePath) else None
+        found: dict[str, Any] = {"supports": self.supports(at, y, given)}
+        shell = model.shell if model else None
         if self.scene.section:
             found["sections"] = section_table(at, y, shell, model.sections if model else ()) or []
         return found
 
-    def support_figures(self, problem: Problem, y: PETSc.Vec) -> dict[str, float]:
-        """What each [[fix]] exerts on the shell, its components by name (N), of one step. Collective."""
+    def supports(self, problem: Problem, y: PETSc.Vec, given: Supporting | None) -> list[dict[str, Any]]:
+        """What each [[fix]] exerts, see support_table: by default at rest. On rank 0. Collective."""
         if not problem.held:
-            return {}
+            return []
         shell, holds = (self.model.shell, self.model.holds) if self.model else (None, None)
-        table = self.comm.bcast(support_table(problem, y, shell, holds)) or []
+        return support_table(problem, y, given or support_forces(problem, y), shell, holds) or []
+
+    def support_figures(self, problem: Problem, y: PETSc.Vec) -> dict[str, float]:
+        """What each [[fix]] exerts on the shell at rest, its components by name (N). Collective."""
         return {
             f"support_{k}_{axis}": float(force)
-            for k, support in enumerate(table)
+            for k, support in enumerate(self.comm.bcast(self.supports(problem, y, None)))
             for axis, force in zip("xyz", support["force"], strict=True)
         }
 

@@ -6,6 +6,7 @@ the work of the residual.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
@@ -15,6 +16,7 @@ from voile.problem.contact import contact_work
 from voile.problem.mean import between
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
+from voile.problem.support_forces import Supporting
 from voile.problem.terms import Point
 from voile.solver.stepping.forces import StepForces
 from voile.solver.stepping.schemes import Kinematics, Prediction
@@ -50,6 +52,44 @@ class Ended:
     prediction: Prediction
     lost: float = 0.0
 
+    @cached_property
+    def at(self) -> Point:
+        return self.forces.problem.point(self.y)
+
+    @cached_property
+    def inertia(self) -> Reals:
+        """(local vertices, 3) N that move the shell."""
+        mass = self.forces.problem.vertex_mass()
+        return mass[:, None] * self.prediction.acceleration(self.after.positions)
+
+    @cached_property
+    def acting(self) -> dict[str, Reals]:
+        """(dofs,) N each."""
+        forces, at = self.forces, self.at
+        return {
+            "elastic": forces.elastic.forces(at)
+            + sum((term.forces(at) for term in forces.springs), forces.began),
+            "loads": forces.loads(at),
+            "damping": forces.resistance(at, self.prediction),
+        }
+
+    @cached_property
+    def lacking(self) -> Reals:
+        """(dofs,) N that move the shell beside all that acts on it: on what is held the supports', else the
+        residual."""
+        problem, moving = self.forces.problem, self.inertia
+        if problem.contact:
+            moving = moving - problem.contact.reactions(self.after.positions, problem.time)
+        dofs = np.concatenate([moving.ravel(), np.zeros(len(problem.part.edge))])
+        return sum((-force for force in self.acting.values()), dofs)
+
+    def supporting(self) -> Supporting:
+        """What supports and clamps exert on the shell in the step."""
+        problem = self.forces.problem
+        lacking = self.lacking[: problem.layout.vertices].reshape(-1, 3)
+        forces: Reals = np.einsum("nij,nj->ni", problem.kept, lacking)
+        return Supporting(forces, *self.forces.clamp_moments(self.at))
+
 
 @dataclass
 class Books:
@@ -82,20 +122,13 @@ class Books:
     def entries(self, step: Ended) -> dict[str, float]:
         """What a step adds to the totals, and to the error (J)."""
         forces, before = step.forces, step.forces.before
-        problem, at = forces.problem, forces.problem.point(step.y)
+        problem, at = forces.problem, step.at
         start = between(forces.start, at, 0.0)
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
-        inertia = problem.vertex_mass()[:, None] * step.prediction.acceleration(step.after.positions)
-        elastic, loads = forces.elastic.forces(at), forces.loads(at)
-        springs = sum((term.forces(at) for term in forces.springs), forces.began)
-        damping = forces.resistance(at, step.prediction)
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         clamps, damped = map(float, problem.comm.allreduce(np.array(forces.clamp_work(at))))
-        work = {
-            name: self._work(force, way)
-            for name, force in (("elastic", elastic + springs), ("loads", loads), ("damping", damping))
-        }
-        moved = self._sum((inertia * way).sum(axis=1))
+        work = {name: self._work(force, way) for name, force in step.acting.items()}
+        moved = self._sum((step.inertia * way).sum(axis=1))
         gained = self.kinetic(step.after) - self.kinetic(before)
         stored = self._elastic(at) - self._elastic(start)
         given, potential = work["loads"], -work["loads"]
@@ -106,7 +139,7 @@ class Books:
         contact = dict.fromkeys(("friction", "impact", "obstacles", "total"), 0.0)
         if problem.contact:
             contact = contact_work(problem, step.y, way, before.positions)
-        missed = self._residual_work(step, way, inertia, elastic + springs + loads + damping)
+        missed = self._residual_work(step, way)
         lost = sum(self.totals[name] for name in LOST)
         return {
             "error": missed,
@@ -136,15 +169,11 @@ class Books:
         lost = sum(entries[name] for name in LOST)
         return max(self.most, entries["present"] + lost - self.created - created(entries))
 
-    def _residual_work(self, step: Ended, way: Reals, inertia: Reals, forces: Reals) -> float:
+    def _residual_work(self, step: Ended, way: Reals) -> float:
         """Of the residual over the way of what is free (J)."""
         problem = step.forces.problem
-        reactions = np.zeros_like(inertia)
-        if problem.contact:
-            reactions = problem.contact.reactions(step.after.positions, problem.time)
-        dofs = np.concatenate([(inertia - reactions).ravel(), np.zeros(len(problem.part.edge))]) - forces
         residual, free = problem.create_vector(), field_vector(problem, way)
-        residual.array[:] = problem.layout.collect(dofs)
+        residual.array[:] = problem.layout.collect(step.lacking)
         return float(residual.dot(free))
 
     def _work(self, force: Reals, way: Reals) -> float:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Flags, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.problem.damping import Air, Damping, Viscous, Wind
 from voile.problem.elastic import Elastic
 from voile.problem.inertia import Dead, Inertia
@@ -98,6 +98,15 @@ class StepForces:
             self.first * self.problem.elastic.clamp_work(self.start, since, until) if self.first else 0.0
         )
         return at_start + self.elastic.clamp_work(at, since, until), damping
+
+    def clamp_moments(self, at: Point) -> tuple[Ints, Reals]:
+        """Elastic.clamp_moments of the step's elastic force and its damping, where the step ends at a point."""
+        row, moments = self.elastic.clamp_moments(at)
+        if self.share:
+            moments = moments + self.share * self.problem.elastic.clamp_moments(at)[1]
+        if self.first or self.share:
+            moments = moments + (self.first - self.share) * self.problem.elastic.clamp_moments(self.start)[1]
+        return row, moments
 
     def wind_work(self, at: Point, prediction: Prediction) -> float:
         """What the moving air works on this rank (J)."""

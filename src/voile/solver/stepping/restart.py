@@ -10,6 +10,7 @@ from voile.contact.candidates import Candidates
 from voile.contact.history import PER_PARTNER, History
 from voile.problem.problem import Problem
 from voile.problem.state import State
+from voile.problem.support_forces import Supporting
 from voile.solver.path import Arrays, Jump, LoadStep, Path
 from voile.solver.path_in_time import TimePath
 from voile.solver.stepping.books import TOTALS, Books
@@ -29,6 +30,8 @@ def packed(problem: Problem, path: TimePath) -> Arrays:
     if k.before:
         found |= {"before.positions": k.before.positions, "before.velocity": k.before.velocity}
         found["before.step"] = np.array(k.before.step)
+    if path.supporting:
+        found |= {f"supports.{name}": values for name, values in vars(path.supporting).items()}
     found["scalars"] = np.array([path.time, path.length, path.largest, path.books.error, path.books.most])
     found["totals"] = np.array([path.books.totals[name] for name in TOTALS])
     found["counts"] = np.array([*(getattr(path.counts, name) for name in COUNTS), path.attempts])
@@ -121,6 +124,8 @@ def unpacked(problem: Problem, found: Arrays) -> TimePath:
     path = TimePath(y, Kinematics(**known, before=before), books)
     path.time, path.length, path.largest, books.error, books.most = found["scalars"].tolist()
     path.pushed = found["pushed"]
+    if "supports.forces" in found:
+        path.supporting = Supporting(*(found[f"supports.{f.name}"] for f in fields(Supporting)))
     problem.elastic.take_sides(found["sides"])
     path.methods = found["methods"].tobytes().decode().split("\n") if len(found["methods"]) else []
     *counts, path.attempts = found["counts"].tolist()

@@ -196,11 +196,11 @@ class Stepper:
         if not outcome.converged:
             problem.restore(y, start)
             return None, outcome
-        after, entries = self._ended(forces, prediction)
+        ended, entries = self._ended(forces, prediction)
         if self._misses(entries, end):
             self.solver.sharpen(step, y, wanted)
-            after, entries = self._ended(forces, prediction)
-        x = after.positions
+            ended, entries = self._ended(forces, prediction)
+        x = ended.after.positions
         refusal = self._refusal(problem, prediction, start.time, h, x)
         if not refusal:
             refusal = self.creation.refusal(self.path.books, entries, h <= self.finest)
@@ -208,7 +208,8 @@ class Stepper:
             problem.restore(y, start)
             return None, Outcome(False, outcome.method, refusal)
         self.path.pushed = pushed_vertices(problem, x)
-        self.problem, self.k = problem, after
+        self.path.supporting = ended.supporting() if problem.held else None
+        self.problem, self.k = problem, ended.after
         if scheme is self.asked.scheme:
             self.path.books.enter(entries)
             self.folds.lost = 0.0
@@ -225,11 +226,12 @@ class Stepper:
         )
         return done, outcome
 
-    def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Kinematics, dict[str, float]]:
-        """Kinematics at the end of a step, which is y, and its entries in the books."""
+    def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Ended, dict[str, float]]:
+        """A step that ends at y, and its entries in the books."""
         x = forces.problem.positions(self.y)
         after = forces.scheme.update(self.k, forces.h, prediction, x)
-        return after, self.path.books.entries(Ended(forces, self.y, after, prediction, self.folds.lost))
+        ended = Ended(forces, self.y, after, prediction, self.folds.lost)
+        return ended, self.path.books.entries(ended)
 
     def _misses(self, entries: dict[str, float], end: float) -> bool:
         """Whether with a step up to the time `end` (s) the books miss more than their share."""
