@@ -167,8 +167,12 @@ class Contact(NaturalMap):
 
     def reactions(self, x: Reals, t: float) -> Reals:
         """(n, 3) projected trial reactions on the shell (N): the reactions themselves where the laws hold."""
-        total = np.zeros_like(x)
-        for p in self.pairs(x, t):
+        return self.projected(self.pairs(x, t))
+
+    def projected(self, pairs: list[Pairs]) -> Reals:
+        """`reactions` of all pairs at some positions."""
+        total = np.zeros((len(self.movable), 3))
+        for p in pairs:
             self.collect(p, partial(p.spread, *p.project()), total)
         return total
 

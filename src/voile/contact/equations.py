@@ -19,7 +19,7 @@ class Equations:
         self.p, self.mu = p, p.friction
         s, rho = contact.history, p.rho
         self.partner, self.history = contact.partners[p.index], s
-        self.penalty, self.doubts = contact.penalty, contact.itself is None
+        self.penalty = contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.reach(p.index) if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
@@ -98,11 +98,10 @@ class Equations:
     def hold(self, doubted: Ints) -> Ints:
         """What a step makes pull stays closed for one more, with its trial reaction, unless it is among the contacts
         doubted then (codes); the codes of those that do. A step that turns a membrane stretches it to second order, and
-        that outweighs the reactions around: what opens for it closes in the next one, and so on. Not for a shell
-        against itself, as in `opening`: at the border of a patch on another that cycles."""
+        that outweighs the reactions around: what opens for it closes in the next one, and so on."""
         p = self.p
         code = self.partner.codes(p.row, self.history)
-        pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted) & self.doubts
+        pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted)
         self.normal = np.where(pulls, self.pressed, self.normal)
         return code[pulls]
 
@@ -152,7 +151,8 @@ class Linearised:
         normal = [np.zeros_like(a) for a in s.normal]
         friction = [np.zeros_like(a) for a in s.friction]
         none = np.zeros(0, dtype=np.int64)
-        self.doubted = {e.p.index: e.hold(self.doubted.get(e.p.index, none)) for e in self.parts}
+        if not self.contact.itself:  # at the border of a patch on another layer that cycles
+            self.doubted = {e.p.index: e.hold(self.doubted.get(e.p.index, none)) for e in self.parts}
         for e in self.parts:
             normal[e.p.index][e.p.row], friction[e.p.index][e.p.row] = e.normal, e.friction
         s.normal = [old + share * (new - old) for old, new in zip(s.normal, normal, strict=True)]

@@ -7,8 +7,7 @@ lambda_N, and slips otherwise. Throughout t is the time that obstacles move in: 
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,12 +43,7 @@ class NaturalMap:
     touch: float
     itself: SelfContact | None = None
     pliable: float = np.inf
-    inertia: float = 0.0  # N/m, that of a vertex over a step in time
-    fall: float = 0.0  # m, that the loads lead a free vertex in a step in time
     history: History = field(init=False)
-    layers: float = LAYERS  # factor on that of the shell against itself
-    most: float = np.inf  # N/m, of rho
-    closes: float = 0.0  # s, when hollows of obstacles do, see `sink`
     seconds: float = 0.0  # spent on gaps and candidates
 
     def __post_init__(self) -> None:
@@ -64,21 +58,11 @@ class NaturalMap:
             self.partners.append(self.itself)
             sizes.append((0, 4))
         self.history = blank(sizes, np.zeros((n, 3)))
+        self.inertia = self.fall = self.closes = 0.0  # see `begin`
 
     def rho(self, k: int, softness: float = 1.0) -> float:
         """N/m, scale of the natural map with partner k; softness: a factor on it."""
-        rho = softness * self._scale * (1.0 if k < len(self.obstacles) else self.layers)
-        return min(rho, self.most)
-
-    @contextmanager
-    def measured(self, sharp: float = np.inf) -> Iterator[None]:
-        """For norms: layers with the rho of obstacles, and none above `sharp` (N/m). The laws are the same with any
-        rho, the round-off of gaps counts for less."""
-        self.layers, self.most = 1.0, sharp
-        try:
-            yield
-        finally:
-            self.layers, self.most = LAYERS, np.inf
+        return softness * self._scale * (1.0 if k < len(self.obstacles) else LAYERS)
 
     def reach(self, k: int) -> float:
         """Gap (m) to partner k within which a contact without a reaction may carry one. Where none does yet, that is as
@@ -112,9 +96,11 @@ class NaturalMap:
         own = [("itself", self.itself.friction)] if self.itself else []
         return [(o.name, o.friction) for o in self.obstacles] + own
 
-    def begin(self, x: Reals, t: float) -> None:
+    def begin(self, x: Reals, t: float, inertia: float = 0.0, fall: float = 0.0, closes: float = 0.0) -> None:
         """Measures slip from positions x (n, 3) at time t on. Friction starts off its bound: whether what
-        slipped before now sticks is not left to round-off."""
+        slipped before now sticks is not left to round-off. Of a step in time: inertia (N/m), that of a vertex over it;
+        fall (m), how far the loads lead a free vertex; closes (s), when hollows of obstacles do, see `sink`."""
+        self.inertia, self.fall, self.closes = inertia, fall, closes
         self.history.reference, self.history.time = x.copy(), t
         self.history.friction = [(1.0 - OFF_BOUND) * friction for friction in self.history.friction]
         if self.itself:
@@ -179,19 +165,30 @@ class NaturalMap:
 
     def pairs(self, x: Reals, t: float, softness: float = 1.0) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction, under the laws; softness: of rho."""
-        return self._pairs(x, t, softness, softness, frozen=False)
+        return self._pairs(x, t, self._rhos(softness))
+
+    def measured_pairs(self, x: Reals, t: float, sharp: float = np.inf) -> list[Pairs]:
+        """The same for norms: layers with the rho of obstacles, and none above `sharp` (N/m). The laws are the same
+        with any rho, the round-off of gaps counts for less."""
+        return self._pairs(x, t, [min(self._scale, sharp)] * len(self.partners))
 
     def frozen_pairs(self, x: Reals, t: float, softness: float) -> list[Pairs]:
         """The same with the normals, weights and friction bounds of the history instead of x's."""
-        return self._pairs(x, t, softness, softness, frozen=True)
+        return self._pairs(x, t, self._rhos(softness), frozen=True)
 
     def opening_pairs(self, x: Reals, t: float) -> list[Pairs]:
         """As `pairs`, of which equations decide what opens: see `opening`."""
-        return self._pairs(x, t, 1.0, self.opening, frozen=False)
+        return self._pairs(x, t, self._rhos(), self.opening)
 
-    def _pairs(self, x: Reals, t: float, softness: float, across: float, frozen: bool) -> list[Pairs]:
+    def _rhos(self, softness: float = 1.0) -> list[float]:
+        return [self.rho(k, softness) for k in range(len(self.partners))]
+
+    def _pairs(
+        self, x: Reals, t: float, rhos: list[float], across: float = 1.0, frozen: bool = False
+    ) -> list[Pairs]:
+        """rhos (N/m): each partner's along its surface; across: a factor on them across it."""
         began = time.perf_counter()
-        found = [self._near(k, x, t, softness, across, frozen) for k in range(len(self.partners))]
+        found = [self._near(k, x, t, rho, across * rho, frozen) for k, rho in enumerate(rhos)]
         self.seconds += time.perf_counter() - began
         return [p for p in found if p is not None]
 
@@ -208,13 +205,11 @@ class NaturalMap:
         rows = np.flatnonzero(near & partner.movable(s))
         return wide, rows, gap[rows]
 
-    def _near(self, k: int, x: Reals, t: float, softness: float, across: float, frozen: bool) -> Pairs | None:
-        """softness: of rho along, across: of that across the partner's surface."""
-        partner, rho, steep = self.partners[k], self.rho(k, softness), self.rho(k, across)
+    def _near(self, k: int, x: Reals, t: float, rho: float, steep: float, frozen: bool) -> Pairs | None:
         wide, rows, _ = self.near(k, x, t, steep, frozen)
         if not len(rows):
             return None
-        s = self.history
+        s, partner = self.history, self.partners[k]
         g = partner.geometry(rows, wide, t, s)
         gradient_norm = lengths(g.gradient)
         unit = g.gradient / gradient_norm[:, None]
@@ -261,7 +256,11 @@ class NaturalMap:
 
     def mismatch(self, x: Reals, t: float) -> float:
         """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
-        pairs, s, total = self.pairs(x, t), self.history, 0.0
+        return self.missed(self.pairs(x, t))
+
+    def missed(self, pairs: list[Pairs]) -> float:
+        """`mismatch` of all pairs at some positions."""
+        s, total = self.history, 0.0
         held = [normal != 0.0 for normal in s.normal]
         for p in pairs:
             normal, tangential = p.project()

@@ -120,7 +120,8 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
     contact, x, factor = contact_of(problem), problem.positions(y), problem.time
     n, along = len(x), np.zeros_like(x)
     state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
-    for pairs in contact.pairs(x, factor):
+    found = contact.pairs(x, factor)
+    for pairs in found:
         active = pairs.lam_n > 0.0
         kind = np.where(pairs.slips, SLIP, STICK)
         state = np.maximum(state, -contact.least(pairs, active, -kind))
@@ -130,7 +131,7 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
         left = np.minimum(left, contact.least(pairs, active, share))
         contact.collect(pairs, partial(pairs.spread, normal, 0.0 * tangential), along)
     gaps = [contact.nearest(k, x, factor) for k in range(len(contact.partners))]
-    return cone_fields(contact.reactions(x, factor), np.min(gaps, axis=0), state, along, friction, left)
+    return cone_fields(contact.projected(found), np.min(gaps, axis=0), state, along, friction, left)
 
 
 def cone_fields(
@@ -158,8 +159,8 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
     inside = problem.own & contact.movable
     depth = comm.allreduce(abs(float(np.min(fields["gap"][inside], initial=0.0))), op=MPI.MAX)
     area = vertex_areas(problem)
-    totals, touching = np.zeros((len(contact.obstacles), 8)), 0
-    for pairs in contact.pairs(x, factor):
+    totals, touching, found = np.zeros((len(contact.obstacles), 8)), 0, contact.pairs(x, factor)
+    for pairs in found:
         normal, friction = pairs.project()
         own = contact.counted(pairs) & (normal > 0.0)
         if pairs.index == len(contact.obstacles):
@@ -169,7 +170,7 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
         v = pairs.vertex[own]
         totals[pairs.index] = [*force.sum(axis=0), *np.cross(x[v], force).sum(axis=0), area[v].sum(), len(v)]
     totals = comm.allreduce(totals)
-    mismatch = comm.allreduce(contact.mismatch(x, factor))
+    mismatch = comm.allreduce(contact.missed(found))
     size = comm.allreduce(float((fields["reaction"][problem.own] ** 2).sum()))
     return {
         "active": int(counts[0]),

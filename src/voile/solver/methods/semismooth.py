@@ -211,7 +211,7 @@ def closed_step(
 def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) -> tuple[float, float]:
     """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N); tolerance: theirs (N)."""
     contact, x = contact_of(problem), problem.positions(y)
-    with contact.measured(tolerance / (SHARP * problem.size())):
-        problem.residual(y, f, contact.reactions(x, problem.time))
-        mismatch = problem.comm.allreduce(contact.mismatch(x, problem.time))
+    pairs = contact.measured_pairs(x, problem.time, tolerance / (SHARP * problem.size()))
+    problem.residual(y, f, contact.projected(pairs))
+    mismatch = problem.comm.allreduce(contact.missed(pairs))
     return f.norm(), float(np.sqrt(mismatch))

@@ -108,8 +108,7 @@ class Stepper:
         if not (problem.contact and problem.contact.itself):
             self.problem = self.problem.with_passing_hinges()
         self.fall = slow_rate(problem) * problem.size()  # m/s^2
-        if problem.contact:
-            problem.contact.closes = let_out(problem)
+        self.closes = let_out(problem) if problem.contact else 0.0  # s
         self.finest = self.options.finest * options.time_step  # s
         self.creation = Creation(problem)
         if not len(path.pushed):
@@ -187,9 +186,10 @@ class Stepper:
         problem = self.problem.at(end)
         self.folds.follow(self.problem, self.problem.point(y))
         forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
-        self._begin_contact(problem, scheme, start.time, h)
-        self._guess(problem, scheme.predict(k, h))
-        prediction, step, wanted, outcome = self._solve(forces)
+        prediction = scheme.predict(k, h)
+        self._begin_contact(forces, prediction)
+        self._guess(problem, prediction)
+        prediction, step, wanted, outcome = self._solve(forces, prediction)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
@@ -260,18 +260,17 @@ class Stepper:
         )
         return "" if error <= 1.0 or h <= self.finest else "the local error of a step is too large"
 
-    def _solve(self, forces: StepForces) -> tuple[Prediction, Problem, float, Outcome]:
+    def _solve(
+        self, forces: StepForces, prediction: Prediction
+    ) -> tuple[Prediction, Problem, float, Outcome]:
         """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
         prediction, problem, tolerance (N) and outcome."""
-        k, h, problem, wanted = self.k, forces.h, forces.problem, 0.0
-        prediction, euler = forces.scheme.predict(k, h), ImplicitEuler().predict(k, h)
+        problem, wanted = forces.problem, 0.0
+        euler = ImplicitEuler().predict(self.k, forces.h)
         euler = replace(euler, predicted=euler.predicted + self.struck, still=euler.still + self.struck)
         bearing = self._bearing(problem, driven(problem))
         while True:
             prediction = prediction.where(bearing, euler)
-            if problem.contact:
-                problem.contact.inertia = float(np.max(prediction.coefficient)) * self.mass
-                problem.contact.fall = self.fall * h**2
             step = forces.balance(prediction)
             wanted = wanted or self._wanted(step, prediction)
             outcome = self.solver.solve(step, self.y, wanted)
@@ -280,14 +279,15 @@ class Stepper:
                 return prediction, step, wanted, outcome
             bearing = now
 
-    def _begin_contact(self, problem: Problem, scheme: Scheme, begin: float, h: float) -> None:
+    def _begin_contact(self, forces: StepForces, prediction: Prediction) -> None:
         """Slip counts from here, impacts rebound."""
+        problem, k, h, begin = forces.problem, self.k, forces.h, forces.start.time
         if problem.contact:
-            k = self.k
-            problem.contact.begin(k.positions, begin)
+            fall, inertia = h**2 * self.fall, float(np.max(prediction.coefficient)) * self.mass
+            problem.contact.begin(k.positions, begin, inertia, fall, self.closes)
             problem.contact.let_in(problem.time)
-            if isinstance(scheme, MoreauJean):
-                rest, flight = self.options.rest * h**2 * self.fall, (h * k.velocity, h**2 * k.acceleration)
+            if isinstance(forces.scheme, MoreauJean):
+                rest, flight = self.options.rest * fall, (h * k.velocity, h**2 * k.acceleration)
                 self.struck = problem.contact.rebound(k.positions, begin, problem.time, *flight, rest)
 
     def _bearing(self, problem: Problem, known: Flags) -> Flags:
