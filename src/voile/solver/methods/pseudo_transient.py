@@ -86,170 +86,19 @@ class PseudoTransient:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        return self._follow(problem, y, tolerance, None)
+        return _March(self, problem, y, tolerance).run()
 
     def leave(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """As `solve`, from a saddle."""
-        return self._follow(problem, y, tolerance, problem.save(y))
+        return _March(self, problem, y, tolerance).run(problem.save(y))
 
-    def _follow(self, problem: Problem, y: PETSc.Vec, tolerance: float, saddle: State | None) -> Outcome:
-        options, contact = self.options, contact_of(problem)
-        slow = slow_rate(problem) * _share(problem, y)
-        loads, start = max(problem.load_norm(y), tolerance / 1e-8), problem.save(y)
-        rate, kicks, peak, driven = options.first_rate * slow, 0, np.inf, _driven(problem)
-        if self._fresh(problem):
-            rate = options.fresh_rate * slow
-        slips = not contact.moves  # what sticks has gone along with moving obstacles
-        wait, pause = 0, 1  # steps until a longer one is tried, after the next refusal
-        for _ in range(options.steps):
-            if saddle:
-                if kicks == KICKS:
-                    return self._failed("no way off a saddle")
-                growth = kick(self.work, problem, y, saddle, self.perturbation, kicks)
-                if growth <= NEUTRAL * slow:
-                    return Outcome(True, self.name, watched=self.watches)
-                kicks, rate, peak, saddle = kicks + 1, 2.0 * growth, 0.0, None
-            before = problem.save(y)
-            if slips:
-                contact.begin(problem.positions(y), problem.time)
-            inertial = Inertia(problem.vertex_mass(), problem.own, rate, problem.positions(y))
-            step = problem.with_terms(AugmentedContact(contact), inertial)
-            room = self._room(step, y, driven)
-            done = self._step(step, y, tolerance, loads, room)
-            if done is None or not self._admissible(problem, before, y):
-                problem.restore(y, before)
-                rate *= 1.0 if self._sharpened(problem, y, tolerance) else options.raise_
-                wait, pause = pause, min(2 * pause, options.longest_pause)
-                if rate > options.last_rate * slow:
-                    missed = self.descent.nonlinear.missed(self.name, y)
-                    return self._failed(f"no step of pseudo-time converges; {missed.reason}")
-                continue
-            slips = True
-            moved = difference(y, problem.unknowns_of(start))
-            if problem.largest_motion(moved) > GONE and not problem.supported:
-                last = difference(y, problem.unknowns_of(before))
-                return replace(self._failed(_slides(problem, last)), gone=True)
-            if not done:
-                continue
-            inertia = step.term_norm(inertial, y)
-            peak = max(peak, inertia) if np.isfinite(peak) else inertia
-            held, wait = (rate if wait else 0.0), max(wait - 1, 0)
-            if not self._fresh(problem):
-                rate = max(self._next(rate, slow), held)
-            elif not held and problem.largest_motion(difference(y, problem.unknowns_of(before))) < 0.3 * room:
-                rate *= options.fade  # it falls on, or hangs freely
-            if inertia > min(options.near * loads, 0.3 * peak):
-                continue
-            peak = inertia
-            found = self._arrives(problem, y, tolerance, start)
-            if found.converged:
-                return found
-            if found.saddle and not self._beside(problem, y, found.saddle, kicks):
-                saddle = found.saddle
-        return self._failed(f"{options.steps} steps of pseudo-time did not settle")
-
-    def _failed(self, reason: str) -> Outcome:
-        return Outcome(False, self.name, reason)
-
-    def _fresh(self, problem: Problem) -> bool:
-        """Whether no contact bears yet."""
-        return problem.everywhere(not any(normal.any() for normal in contact_of(problem).history.normal))
-
-    def _next(self, rate: float, slow: float) -> float:
-        """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
-        options, iterations = self.options, self.descent.nonlinear.iterations
-        first = options.first_rate * slow
-        if iterations <= options.easy:
-            return options.fade**2 * rate
-        if iterations <= options.fair:
-            return options.fade * rate
-        return max(first, options.fade**2 * rate) if rate > first else min(first, rate / options.fade)
-
-    def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
+    def admits(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         """Whether the step from a state to y may be taken."""
         return True
 
-    def _astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
+    def astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
         """Tells of an iterate that leads no step that may be taken."""
         return None
-
-    def _room(self, problem: Problem, y: PETSc.Vec, driven: float) -> float:
-        """Sizes by which a step without friction may move from y; driven: by which supports have moved."""
-        contact, x = contact_of(problem), problem.positions(y)
-        gaps = [contact.gap(k, x, problem.time)[problem.own] for k in range(len(contact.obstacles))]
-        least = min((float(gap.min(initial=np.inf)) for gap in gaps), default=0.0)
-        least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0) if not contact.itself else 0.0
-        return self.options.fresh + 2.0 * driven + 0.5 * least / problem.size()
-
-    def _step(
-        self, problem: Problem, y: PETSc.Vec, tolerance: float, loads: float, room: float
-    ) -> bool | None:
-        """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
-        many iterations); None where it failed. room: see `_room`."""
-        options, contact, begun = self.options, contact_of(problem), y.copy()
-        fresh = self._fresh(problem)
-        contact.freeze(problem.positions(y), problem.time)
-        f = y.duplicate()
-        problem.residual(y, f)
-        if not contact.itself:  # layers take long to settle again
-            perturb(problem, y, self.perturbation)
-        rough = max(tolerance, options.rough * min(f.norm(), loads), options.sharpest * loads)
-        astray = self._astray(problem)
-
-        def too_far(at: PETSc.Vec) -> bool:
-            return fresh and problem.largest_motion(difference(at, begun)) > room
-
-        def vain(at: PETSc.Vec) -> bool:
-            return too_far(at) or bool(astray and astray(at))
-
-        done = self.descent.run(problem, y, rough, options.iterations, vain)
-        if too_far(y):
-            return None
-        if done:
-            contact.adopt(problem.positions(y), problem.time)
-            return True
-        unfinished = self.descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
-        return False if unfinished else None
-
-    def _arrives(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> Outcome:
-        """What the semismooth method finds from here, with the slip since the `start` of the load step where it
-        can."""
-        contact, before = contact_of(problem), problem.save(y)
-        contact.begin(problem.positions(y), problem.time)
-        found = attempt(self.semismooth, problem, y, tolerance)
-        if not (found.converged or found.saddle) and self._sharpened(problem, y, tolerance):
-            found = attempt(self.semismooth, problem, y, tolerance)
-        if found.converged and not self._admissible(problem, before, y):
-            problem.restore(y, before)
-            return self._failed("the way on leads through an obstacle")
-        if found.converged and (problem.held or contact.moves):
-            found = self._recall(problem, y, tolerance, start) or found
-        return replace(found, method=self.name, watched=self.watches)
-
-    def _sharpened(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
-        """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
-        if round_off(problem, y)[0] <= self.options.blurred * tolerance:
-            return False
-        problem.move_origin(y)
-        return True
-
-    def _recall(self, problem: Problem, y: PETSc.Vec, tolerance: float, start: State) -> Outcome | None:
-        """An equilibrium whose slip is that of the whole load step, where there is one near: that of pseudo-time is
-        measured from its own last step."""
-        contact, began = contact_of(problem), start.history
-        assert began is not None
-        found, history = contact.history.copy(), contact.history
-        history.reference, history.time, history.layers = began.reference, began.time, began.layers
-        again = attempt(self.semismooth, problem, y, tolerance)
-        if again.converged:
-            return again
-        contact.history = found
-        return None
-
-    def _beside(self, problem: Problem, y: PETSc.Vec, saddle: State, kicks: int) -> bool:
-        """Whether y is already further from a saddle than the next kick would put it."""
-        moved = problem.largest_motion(difference(y, problem.unknowns_of(saddle)))
-        return moved * problem.size() > reach(self.perturbation, kicks)
 
 
 class WatchedTransient(PseudoTransient):
@@ -257,12 +106,191 @@ class WatchedTransient(PseudoTransient):
 
     watches = True
 
-    def _admissible(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
+    def admits(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         was, now = problem.positions(problem.unknowns_of(before)), problem.time
         return not leads_through(problem, was, now, problem.positions(y), self.options.astray)
 
-    def _astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
+    def astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
         return Astray(problem, self.options.astray)
+
+
+class _March:
+    """The steps of one run, which y follows. rate (1/s^2): of the next step's inertia; wait, pause: steps until a
+    longer one is tried, now and after the next refusal; peak (N): the most inertia since the last kick."""
+
+    def __init__(self, method: PseudoTransient, problem: Problem, y: PETSc.Vec, tolerance: float):
+        self.method, self.options = method, method.options
+        self.problem, self.y, self.tolerance = problem, y, tolerance
+        self.contact, self.start, self.driven = contact_of(problem), problem.save(y), _driven(problem)
+        self.loads = max(problem.load_norm(y), tolerance / 1e-8)
+        self.slow = slow_rate(problem) * _share(problem, y)
+        self.rate = (self.options.fresh_rate if self._fresh() else self.options.first_rate) * self.slow
+        self.wait, self.pause, self.kicks, self.peak = 0, 1, 0, np.inf
+        self.slips = not self.contact.moves  # what sticks has gone along with moving obstacles
+
+    def run(self, saddle: State | None = None) -> Outcome:
+        """To rest, from y or off a saddle."""
+        problem, y, method = self.problem, self.y, self.method
+        for _ in range(self.options.steps):
+            if saddle:
+                if self.kicks == KICKS:
+                    return self._failed("no way off a saddle")
+                if self._kick(saddle) <= NEUTRAL * self.slow:
+                    return Outcome(True, method.name, watched=method.watches)
+                saddle = None
+            before, room = problem.save(y), self._room()
+            inertia = Inertia(problem.vertex_mass(), problem.own, self.rate, problem.positions(y))
+            done = self._step(inertia, room)
+            if done is None or not method.admits(problem, before, y):
+                problem.restore(y, before)
+                if not self._shorten():
+                    missed = method.descent.nonlinear.missed(method.name, y)
+                    return self._failed(f"no step of pseudo-time converges; {missed.reason}")
+                continue
+            self.slips = True
+            if self._motion(self.start) > GONE and not problem.supported:
+                last = difference(y, problem.unknowns_of(before))
+                return replace(self._failed(_slides(problem, last)), gone=True)
+            if not (done and self._settles(problem.term_norm(inertia, y), before, room)):
+                continue
+            found = self._arrive()
+            if found.converged:
+                return found
+            if found.saddle and not self._beside(found.saddle):
+                saddle = found.saddle
+        return self._failed(f"{self.options.steps} steps of pseudo-time did not settle")
+
+    def _failed(self, reason: str) -> Outcome:
+        return Outcome(False, self.method.name, reason)
+
+    def _fresh(self) -> bool:
+        """Whether no contact bears yet."""
+        return self.problem.everywhere(not any(normal.any() for normal in self.contact.history.normal))
+
+    def _motion(self, since: State) -> float:
+        """Of y since a state, in sizes of the shell."""
+        return self.problem.largest_motion(difference(self.y, self.problem.unknowns_of(since)))
+
+    def _kick(self, saddle: State) -> float:
+        """Puts y off a saddle; the rate (1/s^2) at which that grows."""
+        method = self.method
+        growth = kick(method.work, self.problem, self.y, saddle, method.perturbation, self.kicks)
+        self.kicks, self.rate, self.peak = self.kicks + 1, 2.0 * growth, 0.0
+        return growth
+
+    def _beside(self, saddle: State) -> bool:
+        """Whether y is already further from a saddle than the next kick would put it."""
+        return self._motion(saddle) * self.problem.size() > reach(self.method.perturbation, self.kicks)
+
+    # ---- lengths of steps ----
+
+    def _room(self) -> float:
+        """Sizes by which a step without friction may move from y."""
+        contact, problem, x = self.contact, self.problem, self.problem.positions(self.y)
+        gaps = [contact.gap(k, x, problem.time)[problem.own] for k in range(len(contact.obstacles))]
+        least = min((float(gap.min(initial=np.inf)) for gap in gaps), default=0.0)
+        least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0) if not contact.itself else 0.0
+        return self.options.fresh + 2.0 * self.driven + 0.5 * least / problem.size()
+
+    def _shorten(self) -> bool:
+        """After a step that failed; whether there is hope."""
+        self.rate *= 1.0 if self._sharpened() else self.options.raise_
+        self.wait, self.pause = self.pause, min(2 * self.pause, self.options.longest_pause)
+        return self.rate <= self.options.last_rate * self.slow
+
+    def _settles(self, inertia: float, before: State, room: float) -> bool:
+        """Whether a step that converged leaves so little inertia (N) that there may be an equilibrium near; chooses the
+        next step's rate."""
+        self.peak = max(self.peak, inertia) if np.isfinite(self.peak) else inertia
+        held, self.wait = (self.rate if self.wait else 0.0), max(self.wait - 1, 0)
+        if not self._fresh():
+            self.rate = max(self._next(), held)
+        elif not held and self._motion(before) < 0.3 * room:
+            self.rate *= self.options.fade  # it falls on, or hangs freely
+        if inertia > min(self.options.near * self.loads, 0.3 * self.peak):
+            return False
+        self.peak = inertia
+        return True
+
+    def _next(self) -> float:
+        """The rate after a step that converged: longer steps where it was easy, else towards the first length."""
+        options, rate, iterations = self.options, self.rate, self.method.descent.nonlinear.iterations
+        first = options.first_rate * self.slow
+        if iterations <= options.easy:
+            return options.fade**2 * rate
+        if iterations <= options.fair:
+            return options.fade * rate
+        return max(first, options.fade**2 * rate) if rate > first else min(first, rate / options.fade)
+
+    # ---- a step ----
+
+    def _step(self, inertia: Inertia, room: float) -> bool | None:
+        """One descent and one update of the reactions: True; False where it goes on from where it is (what snaps takes
+        many iterations); None where it failed. room: see `_room`."""
+        options, contact, problem, y = self.options, self.contact, self.problem, self.y
+        if self.slips:
+            contact.begin(problem.positions(y), problem.time)
+        step = problem.with_terms(AugmentedContact(contact), inertia)
+        begun, fresh, f = y.copy(), self._fresh(), y.duplicate()
+        contact.freeze(problem.positions(y), problem.time)
+        step.residual(y, f)
+        if not contact.itself:  # layers take long to settle again
+            perturb(problem, y, self.method.perturbation)
+        rough = max(self.tolerance, options.rough * min(f.norm(), self.loads), options.sharpest * self.loads)
+        astray = self.method.astray(step)
+
+        def too_far(at: PETSc.Vec) -> bool:
+            return fresh and problem.largest_motion(difference(at, begun)) > room
+
+        def vain(at: PETSc.Vec) -> bool:
+            return too_far(at) or bool(astray and astray(at))
+
+        descent = self.method.descent
+        done = descent.run(step, y, rough, options.iterations, vain)
+        if too_far(y):
+            return None
+        if done:
+            contact.adopt(problem.positions(y), problem.time)
+            return True
+        unfinished = descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
+        return False if unfinished else None
+
+    # ---- its end ----
+
+    def _arrive(self) -> Outcome:
+        """What the semismooth method finds from here, with the slip since the start of the load step where it can."""
+        contact, problem, y, method = self.contact, self.problem, self.y, self.method
+        before = problem.save(y)
+        contact.begin(problem.positions(y), problem.time)
+        found = attempt(method.semismooth, problem, y, self.tolerance)
+        if not (found.converged or found.saddle) and self._sharpened():
+            found = attempt(method.semismooth, problem, y, self.tolerance)
+        if found.converged and not method.admits(problem, before, y):
+            problem.restore(y, before)
+            return self._failed("the way on leads through an obstacle")
+        if found.converged and (problem.held or contact.moves):
+            found = self._recall() or found
+        return replace(found, method=method.name, watched=method.watches)
+
+    def _sharpened(self) -> bool:
+        """Whether the round-off of large unknowns blurred the residual: they are counted from y on then."""
+        if round_off(self.problem, self.y)[0] <= self.options.blurred * self.tolerance:
+            return False
+        self.problem.move_origin(self.y)
+        return True
+
+    def _recall(self) -> Outcome | None:
+        """An equilibrium whose slip is that of the whole load step, where there is one near: that of pseudo-time is
+        measured from its own last step."""
+        contact, began = self.contact, self.start.history
+        assert began is not None
+        found, history = contact.history.copy(), contact.history
+        history.reference, history.time, history.layers = began.reference, began.time, began.layers
+        again = attempt(self.method.semismooth, self.problem, self.y, self.tolerance)
+        if again.converged:
+            return again
+        contact.history = found
+        return None
 
 
 def _share(problem: Problem, y: PETSc.Vec) -> float:
