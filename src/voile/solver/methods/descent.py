@@ -111,6 +111,26 @@ class Descent:
         return self.nonlinear.run(problem, y, tolerance, most or self.options.iterations)
 
 
+@dataclass
+class Place:
+    """Unknowns, with the residual and the potential (J) there."""
+
+    y: PETSc.Vec
+    residual: PETSc.Vec
+    energy: float = 0.0
+
+    @property
+    def norm(self) -> float:
+        """The residual's (N)."""
+        return float(self.residual.norm())
+
+    def take(self, other: "Place") -> None:
+        """Becomes a copy of another."""
+        other.y.copy(self.y)
+        other.residual.copy(self.residual)
+        self.energy = other.energy
+
+
 class Iterate:
     """The iteration of its SNES."""
 
@@ -131,103 +151,102 @@ class Iterate:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
         problem = self.problem = self.method.nonlinear.problem
-        residual, direction, stall = snes.getFunction()[0], y.duplicate(), Stall()
-        trial, trial_residual = y.duplicate(), y.duplicate()
+        here, trial = Place(y, snes.getFunction()[0]), Place(y.duplicate(), y.duplicate())
+        direction, stall = y.duplicate(), Stall()
         self.steps, self._wait, self._share, self._hold = [], 0, 1.0, 0
         self.shift = np.zeros(len(problem.vertex_mass()))
         self._mixed = False
-        snes.computeFunction(y, residual)
-        energy, norm = self._energy(y), residual.norm()
-        reason = test(snes, 0, y, direction, norm)
+        snes.computeFunction(y, here.residual)
+        here.energy = self._energy(y)
+        reason = test(snes, 0, y, direction, here.norm)
         for it in range(1, snes.getTolerances()[3] + 1):
             if reason:
                 break
-            exact, slope = self._direction(y, residual, direction)
+            exact, slope = self._direction(here, direction)
             if slope is None:
                 reason = _REASON.DIVERGED_LINEAR_SOLVE
                 break
-            length, new_energy = self._search(y, direction, energy, norm, slope, trial, trial_residual)
-            if problem.conservative and length == 1.0:
-                length, new_energy = self._lengthen(y, direction, new_energy, slope, trial, trial_residual)
+            length = self._search(here, direction, slope, trial)
             if length == 0.0:
                 reason = 0 if self._regularise() else _REASON.DIVERGED_LINE_SEARCH
                 continue
-            if exact and length < 0.5 and problem.conservative and self._rest == 0:
-                new_energy = self._watchdog(y, direction, new_energy, trial, trial_residual)
-            self._rest = max(self._rest - 1, 0)
-            direction.waxpy(-1.0, y, trial)
-            self._mixed = exact and length >= 1.0 and not problem.contact
-            if self._mixed:
-                problem.predict(y, direction)
-            trial.copy(y)
-            trial_residual.copy(residual)
-            energy, norm = new_energy, residual.norm()
-            self._adapt(length, direction)
-            if not exact:
-                self._soften(length)
-            self.steps.append(Step(it, norm, energy, length, exact, self._largest(self.shift)))
-            reason = test(snes, it, y, direction, norm)
-            if not reason and self.method.settled and self.method.settled(self.steps):
-                reason = _REASON.CONVERGED_ITS
+            if problem.conservative and length == 1.0:
+                length = self._lengthen(here, direction, slope, trial)
+            elif problem.conservative and exact and length < 0.5 and self._rest == 0:
+                self._watchdog(here, direction, trial)
+            self._take(here, direction, trial, length, exact)
+            self.steps.append(Step(it, here.norm, here.energy, length, exact, self._largest(self.shift)))
+            reason = test(snes, it, y, direction, here.norm)
             if self.work.watch:
                 self.work.watch(y)
-            if not reason and self.method.hopeless and self.method.hopeless(y):
-                reason = _REASON.DIVERGED_LOCAL_MIN
-            if not reason and stall.reached(problem, y, norm):
-                self.method.stalled, reason = True, _REASON.DIVERGED_LINE_SEARCH
+            reason = reason or self._end(here, stall)
         snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)
 
-    def _watchdog(
-        self, y: PETSc.Vec, direction: PETSc.Vec, energy: float, trial: PETSc.Vec, trial_residual: PETSc.Vec
-    ) -> float:
+    def _take(self, here: Place, direction: PETSc.Vec, trial: Place, length: float, exact: bool) -> None:
+        """Goes on to the trial, which a step of this length found; direction becomes the way there."""
+        self._rest = max(self._rest - 1, 0)
+        direction.waxpy(-1.0, here.y, trial.y)
+        self._mixed = exact and length >= 1.0 and not self.problem.contact
+        if self._mixed:
+            self.problem.predict(here.y, direction)
+        here.take(trial)
+        self._adapt(length, direction)
+        if not exact:
+            self._soften(length)
+
+    def _end(self, here: Place, stall: Stall) -> int:
+        """Why it ends here, though SNES would go on; 0 where it does."""
+        method = self.method
+        if method.settled and method.settled(self.steps):
+            return int(_REASON.CONVERGED_ITS)
+        if method.hopeless and method.hopeless(here.y):
+            return int(_REASON.DIVERGED_LOCAL_MIN)
+        method.stalled = stall.reached(self.problem, here.y, here.norm)
+        return int(_REASON.DIVERGED_LINE_SEARCH) if method.stalled else 0
+
+    def _watchdog(self, here: Place, direction: PETSc.Vec, trial: Place) -> None:
         """Where stretching cuts the line search short: the whole step and some mixed steps after it (Chamberlain et
-        al. 1982). Leaves their end in trial if its potential is below `energy`, that of the line search; else waits
-        twice as long as before until the next try. Returns the potential of trial."""
-        problem = self.problem
-        there, step, residual = y.copy(), direction.copy(), y.duplicate()
-        best = energy
+        al. 1982). Leaves their end in trial if its potential is below that of the line search; else waits twice as long
+        as before until the next try."""
+        problem, searched = self.problem, trial.energy
+        there, step = Place(here.y.copy(), here.y.duplicate()), direction.copy()
         for _ in range(self.options.mixed_steps):
-            limit(problem, there, step)
-            problem.predict(there, step)
-            there.axpy(1.0, step)
-            new = self._energy(there)
-            problem.residual(there, residual)
-            if new < best:
-                best = new
-                there.copy(trial)
-                residual.copy(trial_residual)
-            elif best < energy:
+            limit(problem, there.y, step)
+            problem.predict(there.y, step)
+            there.y.axpy(1.0, step)
+            there.energy = self._energy(there.y)
+            problem.residual(there.y, there.residual)
+            if there.energy < trial.energy:
+                trial.take(there)
+            elif trial.energy < searched:
                 break
-            if not np.isfinite(residual.norm()):
+            if not np.isfinite(there.norm):
                 break
-            linear = factor(self.work, problem, there, "mixed", self._shift())
+            linear = factor(self.work, problem, there.y, "mixed", self._shift())
             if linear.usable and not linear.negative:
-                descent_direction(linear, residual, step)
+                descent_direction(linear, there.residual, step)
             if linear.negative or not linear.usable:  # iterations find it only now
                 break
-        self._pause = 0 if best < energy else min(max(2 * self._pause, 1), 64)
+        self._pause = 0 if trial.energy < searched else min(max(2 * self._pause, 1), 64)
         self._rest = self._pause
-        return best
 
     def _energy(self, y: PETSc.Vec) -> float:
         return self.problem.energy(y) if self.problem.conservative else 0.0
 
     # ---- direction ----
 
-    def _direction(
-        self, y: PETSc.Vec, residual: PETSc.Vec, direction: PETSc.Vec
-    ) -> tuple[bool, float | None]:
+    def _direction(self, here: Place, direction: PETSc.Vec) -> tuple[bool, float | None]:
         """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
         self._wait -= 1
         if self._wait < 0:
             for kind in ("mixed", "exact") if self._mixed else ("exact",):
-                slope = self._slope(self._factor(y, kind), residual, direction)
+                slope = self._slope(self._factor(here.y, kind), here.residual, direction)
                 if slope is not None:
                     return True, slope
             # One after the other passes zero.
             self._wait = min((self.work.symmetric.negative or 2).bit_length(), self.options.patience)
         while True:
-            slope = self._slope(self._factor(y, "safe"), residual, direction)
+            slope = self._slope(self._factor(here.y, "safe"), here.residual, direction)
             if slope is not None or not (self._stiffen() or self._regularise()):
                 return False, slope
 
@@ -286,68 +305,50 @@ class Iterate:
 
     # ---- line search ----
 
-    def _search(
-        self,
-        y: PETSc.Vec,
-        direction: PETSc.Vec,
-        energy: float,
-        norm: float,
-        slope: float,
-        trial: PETSc.Vec,
-        trial_residual: PETSc.Vec,
-    ) -> tuple[float, float]:
-        """Backtracks from the longest step that the problem admits; (0, energy) if no length is acceptable."""
+    def _search(self, here: Place, direction: PETSc.Vec, slope: float, trial: Place) -> float:
+        """Backtracks from the longest step that the problem admits to the trial; its length, 0 where none is
+        acceptable."""
         problem, options = self.problem, self.options
-        length, noise = problem.longest_step(y, direction), options.noise * abs(energy)
+        length, noise = problem.longest_step(here.y, direction), options.noise * abs(here.energy)
         while length > options.shortest:
-            trial.waxpy(length, direction, y)
-            new = self._energy(trial)
-            if not np.isfinite(new):
+            trial.y.waxpy(length, direction, here.y)
+            trial.energy = self._energy(trial.y)
+            if not np.isfinite(trial.energy):
                 length *= 0.25
                 continue
-            decrease, predicted = new - energy, length * slope
+            decrease, predicted = trial.energy - here.energy, length * slope
             if problem.conservative and decrease <= options.sufficient * predicted and -predicted > noise:
-                problem.residual(trial, trial_residual)
-                return length, new
+                problem.residual(trial.y, trial.residual)
+                return length
             if not problem.conservative or decrease <= noise:
-                problem.residual(trial, trial_residual)
-                new_slope = trial_residual.dot(direction)
-                if np.isfinite(new_slope) and self._flat_enough(
-                    new_slope, slope, trial_residual.norm(), norm
-                ):
-                    return length, new
+                problem.residual(trial.y, trial.residual)
+                new_slope = trial.residual.dot(direction)
+                if np.isfinite(new_slope) and self._flat_enough(new_slope, slope, trial.norm, here.norm):
+                    return length
             length *= min(max(shorter(length, predicted, decrease), 0.1), 0.5)
-        return 0.0, energy
+        return 0.0
 
-    def _lengthen(
-        self,
-        y: PETSc.Vec,
-        direction: PETSc.Vec,
-        energy: float,
-        slope: float,
-        trial: PETSc.Vec,
-        trial_residual: PETSc.Vec,
-    ) -> tuple[float, float]:
-        """Doubles a whole step, to trial where the potential is `energy`, while that falls on nearly as steeply. Off a
-        saddle the safe matrix is far stiffer than the way down, which whole steps would take in hundreds of parts.
-        Returns the length and the potential there."""
+    def _lengthen(self, here: Place, direction: PETSc.Vec, slope: float, trial: Place) -> float:
+        """Doubles a whole step, to the trial, while the potential falls on nearly as steeply. Off a saddle the safe
+        matrix is far stiffer than the way down, which whole steps would take in hundreds of parts. Returns the
+        length."""
         problem, options = self.problem, self.options
-        further, further_residual, step = trial.duplicate(), trial.duplicate(), direction.copy()
-        length, noise = 1.0, options.noise * abs(energy)
-        while trial_residual.dot(direction) < options.steep * slope:
+        further, step = Place(here.y.duplicate(), here.y.duplicate()), direction.copy()
+        length, noise = 1.0, options.noise * abs(trial.energy)
+        while trial.residual.dot(direction) < options.steep * slope:
             step.scale(2.0)
-            if problem.longest_step(y, step) < 1.0:
+            if problem.longest_step(here.y, step) < 1.0:
                 break
-            further.waxpy(1.0, step, y)
-            new = self._energy(further)
-            problem.residual(further, further_residual)
-            falls = new - energy <= options.sufficient * length * slope
-            if not (falls or (new - energy <= noise and further_residual.dot(direction) <= 0.0)):
+            further.y.waxpy(1.0, step, here.y)
+            further.energy = self._energy(further.y)
+            problem.residual(further.y, further.residual)
+            change = further.energy - trial.energy
+            falls = change <= options.sufficient * length * slope
+            if not (falls or (change <= noise and further.residual.dot(direction) <= 0.0)):
                 break
-            length, energy = 2.0 * length, new
-            further.copy(trial)
-            further_residual.copy(trial_residual)
-        return length, energy
+            length *= 2.0
+            trial.take(further)
+        return length
 
     def _flat_enough(self, new_slope: float, slope: float, new_norm: float, norm: float) -> bool:
         if self.problem.conservative:
