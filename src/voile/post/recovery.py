@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voile.arrays import Ints, Reals, row_sums, units
-from voile.post.edges import boundary_edges
+from voile.post.edges import edges
 from voile.results import CELL_FIELDS, Result
 
 # The fields at vertices, and the tensors on triangles that each is made of.
@@ -80,10 +80,10 @@ class Patches:
 
     def _from_inside(self) -> tuple[Ints, Ints]:
         """Vertices of the boundary, and inner neighbours of theirs: (k,) each."""
-        pairs = np.sort(self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        start, end = np.unique(pairs, axis=0).T
+        pairs, count = edges(self.triangles)
         rim = np.zeros(len(self.points), dtype=bool)
-        rim[boundary_edges(self.triangles)] = True
+        rim[pairs[count == 1]] = True
+        start, end = pairs.T
         ask, told = np.concatenate([start, end]), np.concatenate([end, start])
         use = rim[ask] & ~rim[told]
         return ask[use], told[use]
