@@ -62,22 +62,12 @@ def smallest_eigenpair(
     Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
     no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
     """
-    counts, mass, shift = counts or Counts(), problem.mass_matrix(), scale
-    for _ in range(60):
-        shifted = tangent.copy()
-        shifted.axpy(shift, mass, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        solver = factored(shifted, counts)
-        below = solver.negative
-        solver.destroy()
-        shifted.destroy()
-        if below == 0:
-            break
-        shift *= 4.0
+    counts, mass = counts or Counts(), problem.mass_matrix()
     eps = SLEPc.EPS().create(comm=tangent.comm)
     eps.setOperators(tangent, mass)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    eps.setTarget(-shift)
+    eps.setTarget(-_shift_below(tangent, mass, scale, counts))
     eps.setDimensions(1)
     eps.setTolerances(1e-6, 200)
     st = eps.getST()
@@ -97,3 +87,18 @@ def smallest_eigenpair(
     sign = math.copysign(1.0, mode.dot(first))
     mode.scale(sign / mode.norm(PETSc.NormType.INFINITY))
     return value, mode
+
+
+def _shift_below(tangent: PETSc.Mat, mass: PETSc.Mat, shift: float, counts: Counts) -> float:
+    """s from `shift` (1/s^2) on, fourfold each time, for which K + s M has no negative eigenvalue."""
+    for _ in range(60):
+        shifted = tangent.copy()
+        shifted.axpy(shift, mass, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        solver = factored(shifted, counts)
+        below = solver.negative
+        solver.destroy()
+        shifted.destroy()
+        if below == 0:
+            break
+        shift *= 4.0
+    return shift

@@ -102,10 +102,7 @@ class LoadPath:
             path.attempts += 1
             start = self.problem.save(y)
             self.problem = problem = self.problem.at(control.target)
-            if problem.contact and problem.contact.moves and not problem.held:
-                self._carry()
-            elif problem.contact and self._driven() > self.options.far * self.edge:
-                self._predict()
+            self._guess()
             done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
             problem.unknowns_of(start).copy(path.state)
             if done is None:
@@ -115,17 +112,9 @@ class LoadPath:
                     path.reason = f"{outcome.reason}; at load factor {problem.time:g}"
                     return
                 continue
-            if problem.contact:
-                finished = self._judge(done, start, outcome.watched)
-                if finished is None:
-                    continue
-                done = finished
-                self.went, self.over = difference(y, problem.unknowns_of(start)), problem.time - start.time
-            else:
-                if control.target == 1.0 and self.asked.stability:
-                    done = self._settle(done)
-                self._watch(start)
-                control.advanced(done.iterations)
+            done = self._accept(done, start, outcome.watched)
+            if done is None:
+                continue
             y.copy(path.state)
             path.blurred = None
             path.steps.append(done)
@@ -231,6 +220,31 @@ class LoadPath:
             outcome.reason or "residual below tolerance",
         )
         return done, replace(outcome, watched=watched)
+
+    def _guess(self) -> None:
+        """Moves the shell towards the equilibrium at the problem's load factor, where contact lets tell."""
+        contact = self.problem.contact
+        if contact and contact.moves and not self.problem.held:
+            self._carry()
+        elif contact and self._driven() > self.options.far * self.edge:
+            self._predict()
+
+    def _accept(self, done: LoadStep, start: State, watched: bool) -> LoadStep | None:
+        """A converged step, at the end of the path brought to a stable state; None where it is taken back."""
+        problem, control = self.problem, self.control
+        if problem.contact:
+            judged = self._judge(done, start, watched)
+            if judged:
+                self.went, self.over = (
+                    difference(self.y, problem.unknowns_of(start)),
+                    problem.time - start.time,
+                )
+            return judged
+        if control.target == 1.0 and self.asked.stability:
+            done = self._settle(done)
+        self._watch(start)
+        control.advanced(done.iterations)
+        return done
 
     def _judge(self, done: LoadStep, start: State, watched: bool) -> LoadStep | None:
         """A converged step with contact: found again where it led through an obstacle, if it is not `watched` already,
