@@ -16,7 +16,7 @@ class Equations:
     for those that stick, slip) kept by a penalty and corrected by `advance`."""
 
     def __init__(self, contact: NaturalMap, p: Pairs):
-        self.p, self.mu = p, p.friction
+        self.pairs, self.mu = p, p.friction
         s, rho = contact.history, p.rho
         self.partner, self.history = contact.partners[p.index], s
         self.penalty = contact.penalty
@@ -41,7 +41,7 @@ class Equations:
 
     def spread(self, total: Reals) -> None:
         """Adds a, the reactions without a step, to the vertices' forces (n, 3), N."""
-        p = self.p
+        p = self.pairs
         normal = np.where(self.active, self.normal - self.penalty * p.gap, 0.0)
         stuck = self.friction - self.penalty * p.slip
         moved = normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, p.slip)
@@ -49,14 +49,14 @@ class Equations:
 
     def blocks(self) -> Reals:
         """(p, 3s, 3s) D, N/m."""
-        p = self.p
+        p = self.pairs
         moved = self.penalty * outer(p.gradient + self.along, p.gradient)
         moved += self.turning[:, None, None] * self.sideways
         return self._over_vertices(moved) + self._turned()
 
     def _turned(self) -> Reals:
         """(p, 3s, 3s) what slips: its tangent plane, and with it friction, follows the normal."""
-        p, g = self.p, self.p.geometry
+        p, g = self.pairs, self.pairs.geometry
         count, s = g.weight.shape
         curvature = np.where(g.weight[:, :, None, None] > 0.0, g.curvature.reshape(count, s, 3, 3 * s), 0.0)
         normal = curvature.sum(
@@ -69,13 +69,13 @@ class Equations:
 
     def held(self) -> Reals:
         """(p, 3s, 3s) symmetric stiffness of the constraints, N/m: what slips may go on the way it slips."""
-        p = self.p
+        p = self.pairs
         moved = self.penalty * (outer(p.gradient, p.gradient) + (self.mu > 0.0) * self.sideways)
         return self._over_vertices(moved)
 
     def _over_vertices(self, moved: Reals) -> Reals:
         """Blocks of what sticks, slips (`moved`, (p, 3, 3)) or is open, with the gap's curvature."""
-        p = self.p
+        p = self.pairs
         stuck = self.penalty * (outer(p.gradient, p.gradient) + self.tangential)
         which = np.where(self.stick[:, None, None], stuck, moved)
         block = np.where(self.active[:, None, None], which, 0.0)
@@ -88,7 +88,7 @@ class Equations:
 
     def advance(self, dx: Reals) -> None:
         """Takes the penalty's share of the reactions after the step dx (n, 3) into the multipliers."""
-        p = self.p
+        p = self.pairs
         opening, relative = p.motion(dx)
         slid = p.slip + within(p.unit, relative)
         self.normal = np.where(self.active, self.normal - self.penalty * (p.gap + opening), 0.0)
@@ -99,7 +99,7 @@ class Equations:
         """What a step makes pull stays closed for one more, with its trial reaction, unless it is among the contacts
         doubted then (codes); the codes of those that do. A step that turns a membrane stretches it to second order, and
         that outweighs the reactions around: what opens for it closes in the next one, and so on."""
-        p = self.p
+        p = self.pairs
         code = self.partner.codes(p.row, self.history)
         pulls = self.active & (self.normal < 0.0) & ~np.isin(code, doubted)
         self.normal = np.where(pulls, self.pressed, self.normal)
@@ -121,29 +121,29 @@ class Linearised:
 
     def states(self) -> list[tuple[bytes, ...]]:
         """Which pairs are active and stick, to recognise a cycle."""
-        return [(e.p.row[e.active].tobytes(), e.p.row[e.stick].tobytes()) for e in self.parts]
+        return [(e.pairs.row[e.active].tobytes(), e.pairs.row[e.stick].tobytes()) for e in self.parts]
 
     def force(self) -> Reals:
         """(n, 3) reactions without a step, N."""
         total = np.zeros((len(self.contact.movable), 3))
         for e in self.parts:
-            self.contact.collect(e.p, e.spread, total)
+            self.contact.collect(e.pairs, e.spread, total)
         return total
 
     def blocks(self) -> Iterator[tuple[Ints, Reals]]:
         """Their derivative by the step, per partner (stencils, blocks N/m) as of `Contact.blocks`."""
         for e in self.parts:
-            yield e.p.stencil, e.blocks()
+            yield e.pairs.stencil, e.blocks()
 
     def held(self) -> Iterator[tuple[Ints, Reals]]:
         """What the constraints add to the tangent that decides stability, as `blocks`."""
         for e in self.parts:
-            yield e.p.stencil, e.held()
+            yield e.pairs.stencil, e.held()
 
     def advance(self, dx: Reals) -> None:
         """Corrects the multipliers after the step dx (n, 3)."""
         for e in self.parts:
-            e.advance(self.contact.partners[e.p.index].gather(dx))
+            e.advance(self.contact.partners[e.pairs.index].gather(dx))
 
     def reactions(self, share: float) -> None:
         """The present reactions move by a share (0 to 1) of the way to those of the step."""
@@ -152,8 +152,8 @@ class Linearised:
         friction = [np.zeros_like(a) for a in s.friction]
         none = np.zeros(0, dtype=np.int64)
         if not self.contact.itself:  # at the border of a patch on another layer that cycles
-            self.doubted = {e.p.index: e.hold(self.doubted.get(e.p.index, none)) for e in self.parts}
+            self.doubted = {e.pairs.index: e.hold(self.doubted.get(e.pairs.index, none)) for e in self.parts}
         for e in self.parts:
-            normal[e.p.index][e.p.row], friction[e.p.index][e.p.row] = e.normal, e.friction
+            normal[e.pairs.index][e.pairs.row], friction[e.pairs.index][e.pairs.row] = e.normal, e.friction
         s.normal = [old + share * (new - old) for old, new in zip(s.normal, normal, strict=True)]
         s.friction = [old + share * (new - old) for old, new in zip(s.friction, friction, strict=True)]

@@ -25,7 +25,7 @@ class Search(Protocol):
 
     target: Target
     problem: Problem
-    beside: Neighbours
+    neighbours: Neighbours
     radius: float
     sink: float
     mu: float
@@ -60,11 +60,11 @@ def unpacked_direct(problem: Problem, found: Arrays) -> DirectPath:
 
 def packed_search(search: Search, point: Checkpoint, reached: bool = False) -> Arrays:
     """A search for the nearest stable shape at a point; reached: where it was to lead."""
-    beside, bounds = search.beside, search.target.bounds
+    near, bounds = search.neighbours, search.target.bounds
     return {
         **said(
             control=[search.radius, search.sink, search.mu, search.budget],
-            beside=[beside.weight, beside.cut],
+            beside=[near.weight, near.cut],
             bounds=[bounds.breaches, bounds.last],
             steps=[asdict(step) for step in search.steps],
             point=[point.fraction, point.margin, search.last is point, reached],
@@ -73,22 +73,22 @@ def packed_search(search: Search, point: Checkpoint, reached: bool = False) -> A
         "z": point.z.array_r.copy(),
         "values": point.values,
         "modes": columns(point.modes),
-        "free": beside.free.copy(),
-        f"{BULKY}.block": beside.modes.block,
+        "free": near.free.copy(),
+        f"{BULKY}.block": near.modes.block,
     }
 
 
 def unpacked_search(search: Search, found: Arrays) -> tuple[Checkpoint, bool]:
     """Brings a search to where `packed_search` was called: the point, and whether it was to lead there."""
-    beside, bounds, figures = search.beside, search.target.bounds, heard(found)
+    near, bounds, figures = search.neighbours, search.target.bounds, heard(found)
     search.radius, search.sink, search.mu, search.budget = figures["control"]
-    weight, beside.cut = figures["beside"]
-    while beside.weight > weight and beside.loosen():
+    weight, near.cut = figures["beside"]
+    while near.weight > weight and near.loosen():
         pass
     bounds.breaches, bounds.last = figures["bounds"]
-    if not search.problem.everywhere(np.array_equal(beside.free, found["free"])):
-        beside.restrict(found["free"])
-    beside.modes.block = found.get(f"{BULKY}.block", beside.modes.block)
+    if not search.problem.everywhere(np.array_equal(near.free, found["free"])):
+        near.restrict(found["free"])
+    near.modes.block = found.get(f"{BULKY}.block", near.modes.block)
     search.steps[:] = [NearestStep(**step) for step in figures["steps"]]
     fraction, margin, noted, reached = figures["point"]
     zero = search.problem.create_vector()

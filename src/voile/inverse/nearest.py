@@ -84,7 +84,7 @@ class Nearest:
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
         self.floor = [np.minimum(target.offset, body.gap(target.x, 0.0)) for body in target.obstacles]
-        self.beside = Neighbours(direct, target.touching())
+        self.neighbours = Neighbours(direct, target.touching())
         self.first = self.problem.thickness() / self.problem.size()
         self.last: Checkpoint | None = None
         self.radius, self.sink, self.mu = self.first, 0.0, math.inf
@@ -146,7 +146,7 @@ class Nearest:
                 continue
             inside = self._entering(trial.point)
             if not self.problem.everywhere(not inside.any()):
-                self.beside.hold(inside)
+                self.neighbours.hold(inside)
                 local = self._model(point, way)
                 continue
             quality = self._quality(trial, local)
@@ -159,7 +159,7 @@ class Nearest:
                     self.sink = trial.sink
                     continue
             self.radius, tries = 0.4 * min(self.radius, trial.length), 0
-            if any(way) and self.radius < STALLS * self.first and self.beside.loosen():
+            if any(way) and self.radius < STALLS * self.first and self.neighbours.loosen():
                 self.radius = self.first
                 local = self._model(point, way)
         return None, False
@@ -173,16 +173,16 @@ class Nearest:
 
     def _model(self, point: Checkpoint, way: tuple[float, float]) -> Local | None:
         """Linearises at a point; way: what is left of fraction and margin."""
-        beside, k = self.beside, len(point.modes)
-        if not beside.linearise(point):
+        near, k = self.neighbours, len(point.modes)
+        if not near.linearise(point):
             return None
-        slopes, cut = beside.slopes(point), beside.cut
-        pull = Move(beside.weigh(point.s), self.problem.create_vector())
-        tangent, loaded = beside.tangent(pull, slopes), beside.still()
+        slopes, cut = near.slopes(point), near.cut
+        pull = Move(near.weigh(point.s), self.problem.create_vector())
+        tangent, loaded = near.tangent(pull, slopes), near.still()
         if way[0]:
-            force = beside.load_slope(point)
+            force = near.load_slope(point)
             force.scale(-way[0])
-            loaded = beside.least_move(force)
+            loaded = near.least_move(force)
         rows, columns = np.array(list(slopes)).T
         turn, ahead = np.zeros((tangent.s.shape[1], k, k)), np.zeros((k, k))
         turn[:, rows, columns] = turn[:, columns, rows] = tangent.slopes[:, 1:]
@@ -195,7 +195,7 @@ class Nearest:
         model = Model(matrix, turn / cut, tangent.slopes[:, 0], mu, tangent.form)
         rise = (ahead - way[1] * np.eye(k)) / cut
         merit = half + model.value(np.zeros(len(turn)))
-        return Local(model, cut, rise, merit, half, tangent, loaded, beside.length(loaded), end)
+        return Local(model, cut, rise, merit, half, tangent, loaded, near.length(loaded), end)
 
     def _propose(self, local: Local, point: Checkpoint, way: tuple[float, float]) -> Trial | None:
         """The minimiser of the model within the radius, as far ahead as half of the stability is kept that it has
@@ -218,7 +218,7 @@ class Nearest:
                 model, c, share = there, d, far
                 break
             far *= 0.5
-        move = self.beside.move(local.tangent.s @ c, local.tangent.z @ c)
+        move = self.neighbours.move(local.tangent.s @ c, local.tangent.z @ c)
         move.axpy(share, local.loaded)
         return Trial(
             point.beside(move, share * way[0], share * way[1]),
@@ -232,7 +232,7 @@ class Nearest:
         """How well a trial keeps what the model promised, 1: the lowest eigenvalue ahead, or the decrease of the merit
         here; negative where it is not stable."""
         point = trial.point
-        if not self.beside.settle(point):
+        if not self.neighbours.settle(point):
             return -math.inf
         above = (point.values - point.margin) / local.cut
         trial.sink = max(self.sink + (trial.lowest - float(above[0])) / trial.length**2, 0.0)
@@ -241,14 +241,14 @@ class Nearest:
         self.sink = max(trial.sink, 0.5 * self.sink)
         if trial.share:
             return float(above[0]) / trial.lowest
-        half = 0.5 * point.s.dot(self.beside.weigh(point.s))
+        half = 0.5 * point.s.dot(self.neighbours.weigh(point.s))
         merit = half + local.model.mu * float(barrier(above)[0].sum())
         return float((local.merit - merit) / (local.merit - trial.merit))
 
     def _entering(self, point: Checkpoint) -> Flags:
         """(n,) the local vertices that a point has inside an obstacle."""
-        self.beside.go_to(point)
-        x = self.problem.positions(self.beside.direct.state(point.z))
+        self.neighbours.go_to(point)
+        x = self.problem.positions(self.neighbours.direct.state(point.z))
         inside = np.zeros(len(x), dtype=bool)
         for body, floor in zip(self.target.obstacles, self.floor, strict=True):
             inside |= body.gap(x, 0.0) < floor - CLEARANCE * self.problem.thickness()
@@ -258,10 +258,10 @@ class Nearest:
     def reach(self, path: DirectPath, margin: float) -> tuple[Checkpoint, bool]:
         """`advance` from where the direct method stopped to the full load, with less margin where the way ends."""
         point = Checkpoint(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
-        if not (self.beside.linearise(point) and self.beside.settle(point)):
+        if not (self.neighbours.linearise(point) and self.neighbours.settle(point)):
             return point, False
         point, reached = self.advance(point, 1.0, margin)
-        while not reached and point.margin >= 2.0 * LEAST_MARGIN * self.beside.slow and self._goes_on():
+        while not reached and point.margin >= 2.0 * LEAST_MARGIN * self.neighbours.slow and self._goes_on():
             point, reached = self.advance(point, 1.0, 0.5 * point.margin)
         return point, reached
 
@@ -269,7 +269,7 @@ class Nearest:
         """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
 
         def firm(point: Checkpoint) -> bool:
-            self.beside.polish(point)
+            self.neighbours.polish(point)
             return self.journal.flag(lambda: stays(point.z, self._sag(point)))
 
         if self.clock.over():
@@ -301,12 +301,12 @@ class Nearest:
     def nearer(self, point: Checkpoint) -> Checkpoint:
         """From a point that simulations leave, with whatever margin: the nearest that steps find which count the rest
         shape's moves the least."""
-        if not self.beside.loosen():  # the way has led along those
+        if not self.neighbours.loosen():  # the way has led along those
             return point
-        while self.beside.loosen():
+        while self.neighbours.loosen():
             pass
         self.budget, self.radius = EXTRA, max(self.radius, self.first)
-        self.mu = SHARES[0] * 0.5 * point.s.dot(self.beside.weigh(point.s))
+        self.mu = SHARES[0] * 0.5 * point.s.dot(self.neighbours.weigh(point.s))
         return self.advance(point, 1.0, point.margin, EXACT)[0]
 
     def settled(self, point: Checkpoint, margin: float) -> Checkpoint:
@@ -318,11 +318,11 @@ class Nearest:
         """A point as result, and its last step."""
         if self.last is not point:
             self._note(point)
-        self.beside.polish(point)
-        state = self.beside.go_to(point)
+        self.neighbours.polish(point)
+        state = self.neighbours.go_to(point)
         lowest, mode = float(point.values[0]), point.modes[0].copy()
         mode.scale(1.0 / mode.norm(PETSc.NormType.INFINITY))
-        margin = point.margin / self.beside.slow
+        margin = point.margin / self.neighbours.slow
         return NearestPath(
             point.z.copy(), state, sag(self.target, state), lowest, mode, margin, list(self.steps), point.fraction,
             self.clock.ended,
@@ -330,8 +330,8 @@ class Nearest:
 
     def _sag(self, point: Checkpoint) -> float:
         """Largest displacement from the target over the size."""
-        self.beside.go_to(point)
-        return sag(self.target, self.beside.direct.state(point.z))
+        self.neighbours.go_to(point)
+        return sag(self.target, self.neighbours.direct.state(point.z))
 
     def _note(self, point: Checkpoint) -> None:
         self.last = point
@@ -358,11 +358,11 @@ def approach(
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
         search = Nearest(Direct(target, PRECISE), clock, on_step, journal or Journal())
-        if not search.beside.movable:  # all of it touches
+        if not search.neighbours.movable:  # all of it touches
             return None
-        point, reached = search.reach(path, first * search.beside.slow)
+        point, reached = search.reach(path, first * search.neighbours.slow)
         if reached:
-            point = search.settled(point, margin * search.beside.slow or point.margin)
+            point = search.settled(point, margin * search.neighbours.slow or point.margin)
             return search.outcome(point if margin else search.confirm(point, stays))
         if len(point.values):
             stable.append((search, point))

@@ -78,7 +78,7 @@ class Descent:
 
     def __init__(self, work: Workspace, options: Options | None = None, prefix: str = "descent_"):
         self.work, self.options = work, options or Options()
-        self.iteration = Iterate(self)
+        self.iteration = Iteration(self)
         self.nonlinear = Nonlinear(work, prefix, self.iteration)
         self.settled: Settled | None = None  # of the present run
         self.hopeless: Hopeless | None = None
@@ -112,7 +112,7 @@ class Descent:
 
 
 @dataclass
-class Place:
+class Iterate:
     """Unknowns, with the residual and the potential (J) there."""
 
     y: PETSc.Vec
@@ -124,14 +124,14 @@ class Place:
         """The residual's (N)."""
         return float(self.residual.norm())
 
-    def take(self, other: "Place") -> None:
+    def take(self, other: "Iterate") -> None:
         """Becomes a copy of another."""
         other.y.copy(self.y)
         other.residual.copy(self.residual)
         self.energy = other.energy
 
 
-class Iterate:
+class Iteration:
     """The iteration of its SNES."""
 
     def __init__(self, method: Descent):
@@ -151,7 +151,7 @@ class Iterate:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
         problem = self.problem = self.method.nonlinear.problem
-        here, trial = Place(y, snes.getFunction()[0]), Place(y.duplicate(), y.duplicate())
+        here, trial = Iterate(y, snes.getFunction()[0]), Iterate(y.duplicate(), y.duplicate())
         direction, stall = y.duplicate(), Stall()
         self.steps, self._wait, self._share, self._hold = [], 0, 1.0, 0
         self.shift = np.zeros(len(problem.vertex_mass()))
@@ -182,7 +182,7 @@ class Iterate:
             reason = reason or self._end(here, stall)
         snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)
 
-    def _take(self, here: Place, direction: PETSc.Vec, trial: Place, length: float, exact: bool) -> None:
+    def _take(self, here: Iterate, direction: PETSc.Vec, trial: Iterate, length: float, exact: bool) -> None:
         """Goes on to the trial, which a step of this length found; direction becomes the way there."""
         self._rest = max(self._rest - 1, 0)
         direction.waxpy(-1.0, here.y, trial.y)
@@ -194,7 +194,7 @@ class Iterate:
         if not exact:
             self._soften(length)
 
-    def _end(self, here: Place, stall: Stall) -> int:
+    def _end(self, here: Iterate, stall: Stall) -> int:
         """Why it ends here, though SNES would go on; 0 where it does."""
         method = self.method
         if method.settled and method.settled(self.steps):
@@ -204,12 +204,12 @@ class Iterate:
         method.stalled = stall.reached(self.problem, here.y, here.norm)
         return int(_REASON.DIVERGED_LINE_SEARCH) if method.stalled else 0
 
-    def _watchdog(self, here: Place, direction: PETSc.Vec, trial: Place) -> None:
+    def _watchdog(self, here: Iterate, direction: PETSc.Vec, trial: Iterate) -> None:
         """Where stretching cuts the line search short: the whole step and some mixed steps after it (Chamberlain et
         al. 1982). Leaves their end in trial if its potential is below that of the line search; else waits twice as long
         as before until the next try."""
         problem, searched = self.problem, trial.energy
-        there, step = Place(here.y.copy(), here.y.duplicate()), direction.copy()
+        there, step = Iterate(here.y.copy(), here.y.duplicate()), direction.copy()
         for _ in range(self.options.mixed_steps):
             limit(problem, there.y, step)
             problem.predict(there.y, step)
@@ -235,7 +235,7 @@ class Iterate:
 
     # ---- direction ----
 
-    def _direction(self, here: Place, direction: PETSc.Vec) -> tuple[bool, float | None]:
+    def _direction(self, here: Iterate, direction: PETSc.Vec) -> tuple[bool, float | None]:
         """Solves for a descent direction; (whether the exact Hessian served, slope along it or None)."""
         self._wait -= 1
         if self._wait < 0:
@@ -305,7 +305,7 @@ class Iterate:
 
     # ---- line search ----
 
-    def _search(self, here: Place, direction: PETSc.Vec, slope: float, trial: Place) -> float:
+    def _search(self, here: Iterate, direction: PETSc.Vec, slope: float, trial: Iterate) -> float:
         """Backtracks from the longest step that the problem admits to the trial; its length, 0 where none is
         acceptable."""
         problem, options = self.problem, self.options
@@ -328,12 +328,12 @@ class Iterate:
             length *= min(max(shorter(length, predicted, decrease), 0.1), 0.5)
         return 0.0
 
-    def _lengthen(self, here: Place, direction: PETSc.Vec, slope: float, trial: Place) -> float:
+    def _lengthen(self, here: Iterate, direction: PETSc.Vec, slope: float, trial: Iterate) -> float:
         """Doubles a whole step, to the trial, while the potential falls on nearly as steeply. Off a saddle the safe
         matrix is far stiffer than the way down, which whole steps would take in hundreds of parts. Returns the
         length."""
         problem, options = self.problem, self.options
-        further, step = Place(here.y.duplicate(), here.y.duplicate()), direction.copy()
+        further, step = Iterate(here.y.duplicate(), here.y.duplicate()), direction.copy()
         length, noise = 1.0, options.noise * abs(trial.energy)
         while trial.residual.dot(direction) < options.steep * slope:
             step.scale(2.0)

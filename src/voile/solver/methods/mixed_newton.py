@@ -35,7 +35,7 @@ class MixedNewton:
 
     def __init__(self, work: Workspace, options: Options | None = None):
         self.work, self.options = work, options or Options()
-        self.nonlinear = Nonlinear(work, "mixed_", Iterate(self))
+        self.nonlinear = Nonlinear(work, "mixed_", Iteration(self))
         self.steps: list[Step] = []
         self.stalled = False
         self.negative: int | None = None
@@ -49,7 +49,7 @@ class MixedNewton:
 
 
 @dataclass
-class Iterate:
+class Iteration:
     """The iteration of its SNES."""
 
     method: MixedNewton

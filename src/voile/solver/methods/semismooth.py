@@ -49,7 +49,7 @@ class Semismooth:
 
     def __init__(self, work: Workspace, options: Options | None = None):
         self.work, self.options = work, options or Options()
-        self.nonlinear = Nonlinear(work, "semismooth_", Iterate(self))
+        self.nonlinear = Nonlinear(work, "semismooth_", Iteration(self))
         self.negative: int | None = None
         self.stalled = self.still = False
 
@@ -98,7 +98,7 @@ class Held:
     reason: int
 
 
-class Iterate:
+class Iteration:
     """The iteration of its SNES."""
 
     def __init__(self, method: Semismooth):

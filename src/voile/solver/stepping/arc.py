@@ -27,7 +27,7 @@ INVERSE = 8  # iterations, next to an eigenvalue of zero
 
 
 @dataclass
-class Place:
+class PathPoint:
     """An equilibrium at a load factor; the unit direction of its path, by which the factor changes by `slope`;
     negative: eigenvalues of its tangent, None where the loads have no potential; touching: this rank's contacts."""
 
@@ -105,13 +105,13 @@ class Arc:
         self.weight.scale(1.0 / (self.weight.sum() * problem.size() ** 2))
         self.psi = 0.0  # sizes that a unit of the load factor counts as
 
-    def along(self, place: Place, other: Place) -> float:
-        """How far another place is along the direction of one (sizes)."""
-        ahead = self.product(place.direction, self.between(place, other))
-        return ahead + self.psi**2 * place.slope * (other.factor - place.factor)
+    def along(self, point: PathPoint, other: PathPoint) -> float:
+        """How far another point is along the direction of one (sizes)."""
+        ahead = self.product(point.direction, self.between(point, other))
+        return ahead + self.psi**2 * point.slope * (other.factor - point.factor)
 
-    def cosine(self, a: Place, b: Place) -> float:
-        """Of the angle between two places' directions."""
+    def cosine(self, a: PathPoint, b: PathPoint) -> float:
+        """Of the angle between two points' directions."""
         return self.product(a.direction, b.direction) + self.psi**2 * a.slope * b.slope
 
     def product(self, a: PETSc.Vec, b: PETSc.Vec) -> float:
@@ -130,37 +130,37 @@ class Arc:
         f.array[:] = whole.layout.collect(whole.loads.forces(whole.point(y)))
         return f
 
-    def unknowns(self, place: Place) -> PETSc.Vec:
-        """Those of a place, counted from the present origin."""
-        return self.problem.unknowns_of(place.state)
+    def unknowns(self, point: PathPoint) -> PETSc.Vec:
+        """Those of a point, counted from the present origin."""
+        return self.problem.unknowns_of(point.state)
 
-    def back(self, place: Place) -> PETSc.Vec:
+    def back(self, point: PathPoint) -> PETSc.Vec:
         """The same, and contact remembers what it did there."""
         y = self.problem.create_vector()
-        self.problem.restore(y, place.state)
+        self.problem.restore(y, point.state)
         return y
 
-    def between(self, a: Place, b: Place) -> PETSc.Vec:
-        """The way from one place to another."""
+    def between(self, a: PathPoint, b: PathPoint) -> PETSc.Vec:
+        """The way from one point to another."""
         return difference(self.unknowns(b), self.unknowns(a))
 
-    def start(self) -> Place | None:
+    def start(self) -> PathPoint | None:
         """The equilibrium of the unloaded shell next to where it starts."""
         y = self.problem.create_vector()
         if self.problem.contact:
             self.problem.contact.begin(self.problem.positions(y), 0.0)
-        place = self._correct(
-            Place(self.problem.save(y), 0.0, 0, 0.0, "", y), y.duplicate(), 0.0, None, 0.0, 0.0
+        point = self._correct(
+            PathPoint(self.problem.save(y), 0.0, 0, 0.0, "", y), y.duplicate(), 0.0, None, 0.0, 0.0
         )
-        if not (place and self.aim(place, self.problem.create_vector(), 1.0)):
+        if not (point and self.aim(point, self.problem.create_vector(), 1.0)):
             return None
-        self.psi = 1.0 / place.slope
-        self.aim(place, place.direction, place.slope)
-        return place
+        self.psi = 1.0 / point.slope
+        self.aim(point, point.direction, point.slope)
+        return point
 
-    def softest(self, place: Place, guess: PETSc.Vec) -> tuple[float, PETSc.Vec]:
+    def softest(self, point: PathPoint, guess: PETSc.Vec) -> tuple[float, PETSc.Vec]:
         """The eigenvalue of the tangent nearest to zero (over the product), and its unit vector: inverse iteration."""
-        linear = Linear(self.work, self.problem.at(place.factor), self.back(place), "exact").solver
+        linear = Linear(self.work, self.problem.at(point.factor), self.back(point), "exact").solver
         x, weighed, value = guess.copy(), guess.duplicate(), 0.0
         for _ in range(INVERSE):
             x.scale(1.0 / self.norm(x))
@@ -171,19 +171,19 @@ class Arc:
         x.scale(1.0 / self.norm(x))
         return value, x
 
-    def along_load(self, place: Place) -> float:
+    def along_load(self, point: PathPoint) -> float:
         """m: the displacement from the start along the whole load, its work over the sum of its forces."""
         whole = self.problem.at(1.0)
-        at, own = whole.point(self.unknowns(place)), self.problem.own
+        at, own = whole.point(self.unknowns(point)), self.problem.own
         force = whole.loads.forces(at)[: len(at.u)].reshape(-1, 3)[own]
         moved = at.displacement.reshape(-1, 3)[own]
         sums = np.array([(force * moved).sum(), np.linalg.norm(force, axis=1).sum()])
         work, size = self.problem.comm.allreduce(sums)
         return float(work / size)
 
-    def aim(self, place: Place, before: PETSc.Vec, slope: float) -> bool:
-        """Gives a place the direction of its path, on along the direction before. False where there is none."""
-        problem, y = self.problem.at(place.factor), self.back(place)
+    def aim(self, point: PathPoint, before: PETSc.Vec, slope: float) -> bool:
+        """Gives a point the direction of its path, on along the direction before. False where there is none."""
+        problem, y = self.problem.at(point.factor), self.back(point)
         linear, residual = Linear(self.work, problem, y, "exact"), y.duplicate()
         if not linear.solver.usable:
             return False
@@ -194,44 +194,44 @@ class Arc:
             return False
         sign = math.copysign(1.0, self.product(before, b) + (self.psi or 1.0) ** 2 * slope)
         b.scale(sign / size)
-        place.direction, place.slope = b, sign / size
-        place.negative = linear.solver.negative if problem.conservative else None
-        place.touching = linear.states()
+        point.direction, point.slope = b, sign / size
+        point.negative = linear.solver.negative if problem.conservative else None
+        point.touching = linear.states()
         return True
 
-    def follow(self, place: Place, length: float) -> Place | None:
+    def follow(self, point: PathPoint, length: float) -> PathPoint | None:
         """The equilibrium that lies so far along the path's direction, with its own; None where there is none."""
-        there = self.advance(place, length, place.direction, place.slope)
-        return there if there and self.aim(there, place.direction, place.slope) else None
+        there = self.advance(point, length, point.direction, point.slope)
+        return there if there and self.aim(there, point.direction, point.slope) else None
 
-    def rebound(self, before: Place | None, place: Place, length: float) -> Place | None:
+    def rebound(self, before: PathPoint | None, point: PathPoint, length: float) -> PathPoint | None:
         """The equilibrium behind a touch that turns the path by more than a right angle: as the motion goes on, the
-        load factor changes the other way. None where there is none, or where contacts are those before the place: then
+        load factor changes the other way. None where there is none, or where contacts are those before the point: then
         the path would go back."""
-        there = self.advance(place, length, place.direction, -place.slope)
-        if there is None or not self.aim(there, place.direction, -place.slope):
+        there = self.advance(point, length, point.direction, -point.slope)
+        if there is None or not self.aim(there, point.direction, -point.slope):
             return None
         back = before and self.problem.everywhere(before.touching == there.touching)
         return None if back else there
 
-    def advance(self, place: Place, length: float, v: PETSc.Vec, slope: float) -> Place | None:
+    def advance(self, point: PathPoint, length: float, v: PETSc.Vec, slope: float) -> PathPoint | None:
         """The equilibrium that lies so far along a direction; None where there is none."""
         way = v.copy()
         way.scale(length)
-        return self._correct(place, way, place.factor + length * slope, v, slope, length)
+        return self._correct(point, way, point.factor + length * slope, v, slope, length)
 
-    def reach(self, place: Place, beyond: Place, target: float) -> Place | None:
-        """The equilibrium at a load factor between those of two places."""
-        way = self.between(place, beyond)
-        way.scale((target - place.factor) / (beyond.factor - place.factor))
-        return self._correct(place, way, target, None, 0.0, 0.0)
+    def reach(self, point: PathPoint, beyond: PathPoint, target: float) -> PathPoint | None:
+        """The equilibrium at a load factor between those of two points."""
+        way = self.between(point, beyond)
+        way.scale((target - point.factor) / (beyond.factor - point.factor))
+        return self._correct(point, way, target, None, 0.0, 0.0)
 
     def _correct(
-        self, place: Place, way: PETSc.Vec, t: float, v: PETSc.Vec | None, slope: float, length: float
-    ) -> Place | None:
+        self, point: PathPoint, way: PETSc.Vec, t: float, v: PETSc.Vec | None, slope: float, length: float
+    ) -> PathPoint | None:
         """Newton's method from a first step on: on the plane a length along (v, slope), or, without v, at the factor
         t."""
-        problem, y, stall, kind, sharp = self.problem, self.back(place), Stall(), "mixed", False
+        problem, y, stall, kind, sharp = self.problem, self.back(point), Stall(), "mixed", False
         residual = y.duplicate()
         if limit(problem.at(t), y, way) < 1.0:
             return None
@@ -251,7 +251,7 @@ class Arc:
                     problem.move_origin(y)
                     stall, kind, sharp = Stall(), "exact", True
             if reason:
-                return Place(now.save(y), t, it, norm, reason, way)
+                return PathPoint(now.save(y), t, it, norm, reason, way)
             self.work.counts.iterations += 1
             linear = Linear(self.work, now, y, kind)
             kind = "mixed"
@@ -261,8 +261,8 @@ class Arc:
             a, b = linear.steps(residual, self.load(y))
             change = 0.0
             if v is not None:
-                missing = length - self.psi**2 * slope * (t - place.factor)
-                missing -= self.product(v, difference(y, self.unknowns(place))) + self.product(v, a)
+                missing = length - self.psi**2 * slope * (t - point.factor)
+                missing -= self.product(v, difference(y, self.unknowns(point))) + self.product(v, a)
                 change = missing / (self.product(v, b) + self.psi**2 * slope)
                 a.axpy(change, b)
             share = limit(now, y, a)

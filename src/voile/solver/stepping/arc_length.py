@@ -1,7 +1,7 @@
 """Statics along the arc of a path: load factors rise and fall, limit points and bifurcations are found on the way.
 
 A limit point is where the load factor's slope changes its sign; a bifurcation where the tangent's inertia changes
-otherwise. Either lies between two places of the path, and is closed in by equilibria between them.
+otherwise. Either lies between two points of the path, and is closed in by equilibria between them.
 """
 
 from dataclasses import asdict, dataclass
@@ -14,7 +14,7 @@ from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.solver.methods.method import Workspace
 from voile.solver.path import STEPS, Arrays, LoadStep, Path, Pause, Progress, StaticsOptions
-from voile.solver.stepping.arc import Arc, Place
+from voile.solver.stepping.arc import Arc, PathPoint
 from voile.solver.stepping.restart import packed_path, packed_state, unpacked_path, unpacked_state
 
 ALMOST = 1e-6  # relative: a step that ends so near to the end of the path ends there
@@ -94,30 +94,30 @@ class ArcPath:
         self._go(here)
         self.arc.back(self.last).copy(self.path.state)
 
-    def _begin(self) -> Place | None:
+    def _begin(self) -> PathPoint | None:
         """Where the path begins."""
         here = self.arc.start()
         if here:
             self.first = self.length = min(self.cap / here.slope, self.options.longest)
         return here
 
-    def _pause(self, here: Place, length: float) -> None:
-        """The path may go on from a place with a step of some length (sizes)."""
+    def _pause(self, here: PathPoint, length: float) -> None:
+        """The path may go on from a point with a step of some length (sizes)."""
         self.length = length
         if self.on_pause:
             self.on_pause(lambda: self._packed(here))
 
-    def _packed(self, here: Place) -> Arrays:
-        place = {"factor": here.factor, "iterations": here.iterations, "residual": here.residual}
+    def _packed(self, here: PathPoint) -> Arrays:
+        point = {"factor": here.factor, "iterations": here.iterations, "residual": here.residual}
         said = packed_path(
             self.path,
-            place=place | {"reason": here.reason, "slope": here.slope, "negative": here.negative},
+            place=point | {"reason": here.reason, "slope": here.slope, "negative": here.negative},
             lengths=[self.first, self.length, self.arc.psi],
             critical=[asdict(point) for point in self.found],
         )
         return said | packed_state(here.state) | {"direction": here.direction.array_r.copy()}
 
-    def _found(self, found: Arrays) -> Place | None:
+    def _found(self, found: Arrays) -> PathPoint | None:
         """Where `_pause` was called."""
         problem = self.problem
         said, direction = unpacked_path(found, self.path), problem.create_vector()
@@ -125,18 +125,18 @@ class ArcPath:
         self.first, self.length, self.arc.psi = said["lengths"]
         self.found += [Critical(**point) for point in said["critical"]]
         state = unpacked_state(problem, found, said["place"]["factor"])
-        here = Place(state, direction=direction, **said["place"])
+        here = PathPoint(state, direction=direction, **said["place"])
         return here if self.arc.aim(here, direction, here.slope) else None
 
-    def _ended(self, there: Place) -> bool:
-        """Whether a place is the path's end."""
+    def _ended(self, there: PathPoint) -> bool:
+        """Whether a point is the path's end."""
         if abs(there.factor) < self.most:
             return False
         self.path.converged, self.path.reason = True, there.reason
         self.path.stable = None if there.negative is None else there.negative == 0
         return True
 
-    def _closed(self, origin: Place, here: Place, there: Place) -> bool:
+    def _closed(self, origin: PathPoint, here: PathPoint, there: PathPoint) -> bool:
         """Whether a step passes where the path, or its branch, began: from there on it would repeat itself."""
         arc = self.arc
         passed = arc.along(origin, here) < 0.0 <= arc.along(origin, there)
@@ -146,10 +146,10 @@ class ArcPath:
         self.path.stable = None if there.negative is None else there.negative == 0
         return True
 
-    def _go(self, here: Place) -> None:
-        """From place to place until the end."""
+    def _go(self, here: PathPoint) -> None:
+        """From point to point until the end."""
         path, options, first, length, origin = self.path, self.options, self.first, self.length, here
-        before: Place | None = None
+        before: PathPoint | None = None
         if self._ended(here):
             return
         while path.attempts < self.asked.max_steps:
@@ -182,7 +182,7 @@ class ArcPath:
             self._pause(here, length)
         path.reason = f"max_steps = {self.asked.max_steps} steps ended at load factor {here.factor:g}"
 
-    def _next(self, here: Place, length: float, sharp: bool) -> Place | None:
+    def _next(self, here: PathPoint, length: float, sharp: bool) -> PathPoint | None:
         """The end of a step; None where it has to be shorter."""
         arc = self.arc
         there = arc.follow(here, length)
@@ -196,25 +196,25 @@ class ArcPath:
             return end if end and arc.aim(end, here.direction, here.slope) else None
         return there
 
-    def _bend(self, here: Place, there: Place) -> float:
+    def _bend(self, here: PathPoint, there: PathPoint) -> float:
         """How far the load factor is from a straight line, over what is allowed."""
         straight = self.arc.along(here, there) * here.slope
         return abs(there.factor - here.factor - straight) / (self.options.bend * self.cap)
 
-    def _keep(self, place: Place, method: str) -> None:
-        """A place becomes a step of the path."""
-        self.last, y = place, self.arc.back(place)
+    def _keep(self, point: PathPoint, method: str) -> None:
+        """A point becomes a step of the path."""
+        self.last, y = point, self.arc.back(point)
         done = LoadStep(
-            place.factor,
-            place.iterations,
-            place.residual,
+            point.factor,
+            point.iterations,
+            point.residual,
             self.arc.tolerance,
-            self.problem.at(place.factor).energies(y),
-            place.negative,
-            contact_report(self.problem.at(place.factor), y) if self.problem.contact else None,
+            self.problem.at(point.factor).energies(y),
+            point.negative,
+            contact_report(self.problem.at(point.factor), y) if self.problem.contact else None,
             method,
-            place.reason,
-            self.arc.along_load(place),
+            point.reason,
+            self.arc.along_load(point),
         )
         self.path.steps.append(done)
         self.path.seconds |= {"linear_solve": self.path.counts.seconds}
@@ -223,8 +223,8 @@ class ArcPath:
 
     # ---- critical points ----
 
-    def _pass(self, a: Place, b: Place) -> tuple[Place, float] | None:
-        """Finds what is critical between two places; if a branch begins there that is asked for, its first place and
+    def _pass(self, a: PathPoint, b: PathPoint) -> tuple[PathPoint, float] | None:
+        """Finds what is critical between two points; if a branch begins there that is asked for, its first point and
         the length of its first step."""
         events = []
         turns = a.slope * b.slope < 0.0
@@ -233,36 +233,36 @@ class ArcPath:
         if self._changed(a, b):
             events.append(("bifurcation", self._bifurcation(a, b)))
         events.sort(key=lambda event: self.arc.along(a, event[1]))
-        for kind, place in events:
-            self.found.append(Critical(kind, place.factor, self.arc.along_load(place)))
-            self._keep(place, kind)
+        for kind, point in events:
+            self.found.append(Critical(kind, point.factor, self.arc.along_load(point)))
+            self._keep(point, kind)
             if kind == "bifurcation" and self.branch == sum(c.kind == kind for c in self.found):
-                return self._leave(place)
+                return self._leave(point)
         return None
 
-    def _limit(self, a: Place, b: Place) -> Place:
-        """Where the load factor is greatest or least between two places: regula falsi (Illinois) on its slope."""
+    def _limit(self, a: PathPoint, b: PathPoint) -> PathPoint:
+        """Where the load factor is greatest or least between two points: regula falsi (Illinois) on its slope."""
         arc, best = self.arc, b if abs(b.slope) < abs(a.slope) else a
         low, high = 0.0, arc.along(a, b)
         at_low, at_high, curvature = a.slope, b.slope, abs(b.slope - a.slope) / high
         for _ in range(self.options.searches):
             length = (low * at_high - high * at_low) / (at_high - at_low)
-            place = arc.follow(a, length)
-            if place is None:
+            point = arc.follow(a, length)
+            if point is None:
                 break
-            best = place
-            if place.slope**2 < 2.0 * curvature * self.options.flat * max(
-                abs(place.factor), 1e-3 * self.most
+            best = point
+            if point.slope**2 < 2.0 * curvature * self.options.flat * max(
+                abs(point.factor), 1e-3 * self.most
             ):
                 break
-            if place.slope * at_low > 0.0:
-                low, at_low, at_high = length, place.slope, 0.5 * at_high
+            if point.slope * at_low > 0.0:
+                low, at_low, at_high = length, point.slope, 0.5 * at_high
             else:
-                high, at_high, at_low = length, place.slope, 0.5 * at_low
+                high, at_high, at_low = length, point.slope, 0.5 * at_low
         return best
 
-    def _bifurcation(self, a: Place, b: Place) -> Place:
-        """Where the inertia changes between two places: halving, then its eigenvalue is linear."""
+    def _bifurcation(self, a: PathPoint, b: PathPoint) -> PathPoint:
+        """Where the inertia changes between two points: halving, then its eigenvalue is linear."""
         arc, left, right = self.arc, a, b
         length = arc.along(a, b)
         for _ in range(self.options.halvings):
@@ -272,30 +272,30 @@ class ArcPath:
             length *= 0.5
             left, right = (left, middle) if self._changed(left, middle) else (middle, right)
         field = imperfection(self.problem)
-        values = [arc.softest(place, field)[0] for place in (left, right)]
+        values = [arc.softest(point, field)[0] for point in (left, right)]
         share = values[0] / (values[0] - values[1]) if values[0] * values[1] < 0.0 else 0.5
         arc.aim(left, left.direction, left.slope)
-        place = arc.advance(left, share * length, left.direction, left.slope) or left
-        place.direction, place.slope, place.negative = left.direction, left.slope, left.negative
-        return place
+        point = arc.advance(left, share * length, left.direction, left.slope) or left
+        point.direction, point.slope, point.negative = left.direction, left.slope, left.negative
+        return point
 
-    def _leave(self, place: Place) -> tuple[Place, float]:
-        """The first place of the branch that meets the path at a bifurcation, a perturbation along its vector, and how
+    def _leave(self, point: PathPoint) -> tuple[PathPoint, float]:
+        """The first point of the branch that meets the path at a bifurcation, a perturbation along its vector, and how
         far that is."""
         arc = self.arc
-        _, way = arc.softest(place, imperfection(self.problem))
+        _, way = arc.softest(point, imperfection(self.problem))
         off = self.asked.perturbation * self.problem.thickness() / self.problem.size()
         length = off / self.problem.largest_motion(way)
         for further in (1.0, 4.0, 0.25, 16.0):
-            there = arc.advance(place, further * length, way, 0.0)
+            there = arc.advance(point, further * length, way, 0.0)
             if there and arc.aim(there, way, 0.0):
                 return there, further * length
         raise NotConverged(
             f"statics.branch = {self.branch}: no equilibrium is found beside the bifurcation at load factor "
-            f"{place.factor:g}"
+            f"{point.factor:g}"
         )
 
-    def _changed(self, a: Place, b: Place) -> bool:
+    def _changed(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether the inertia changes otherwise than by a limit point, or by contacts that open or close."""
         if a.negative is None or b.negative is None or not self.problem.everywhere(a.touching == b.touching):
             return False

@@ -98,9 +98,8 @@ class Stepper:
 
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
-        self.options, self.y, self.k = Options(), path.state.copy(), path.kinematics
+        self.options, self.y, self.kinematics = Options(), path.state.copy(), path.kinematics
         self.wish = 0.0  # s, what the local error allows
-        self.struck: float | Reals = 0.0  # m, see Contact.rebound
         self.damping, path.length = options.damping, path.length or options.time_step
         solver.counts.add(path.counts)
         path.counts = solver.counts
@@ -112,7 +111,7 @@ class Stepper:
         self.finest = self.options.finest * options.time_step  # s
         self.creation = Creation(problem)
         if not len(path.pushed):
-            path.pushed = np.zeros(len(self.k.positions), dtype=bool)
+            path.pushed = np.zeros(len(self.kinematics.positions), dtype=bool)
         laws: list[Any] = [*problem.shell.load_laws.values()] if problem.shell else []
         laws += problem.contact.obstacles if problem.contact else []
         own = max([problem.part.supports.ends, *(law.ends for law in laws)])
@@ -145,7 +144,7 @@ class Stepper:
             path.last, path.time = done, done.time
             path.methods.append(done.method)
             self.y.copy(path.state)
-            path.kinematics = self.k
+            path.kinematics = self.kinematics
             if on_step:
                 on_step(done, path)
             if self._rests(done.speed):
@@ -158,7 +157,7 @@ class Stepper:
         limit, problem, path = self.asked.stop_at_rest, self.problem, self.path
         if not speed < limit or path.time < self.changes:
             return False
-        acceleration = problem.in_sizes(self.k.acceleration[problem.own]) * problem.size()
+        acceleration = problem.in_sizes(self.kinematics.acceleration[problem.own]) * problem.size()
         if not acceleration < limit * float(np.sqrt(slow_rate(problem))):
             return False
         path.converged, path.reason = True, f"at rest at time {path.time:g} s"
@@ -166,30 +165,30 @@ class Stepper:
 
     def _speed(self) -> float:
         """Of the fastest vertex (m/s)."""
-        return self.problem.in_sizes(np.linalg.norm(self.k.velocity, axis=1)) * self.problem.size()
+        return self.problem.in_sizes(np.linalg.norm(self.kinematics.velocity, axis=1)) * self.problem.size()
 
     def _begin(self) -> None:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
-        start, k = self.problem.save(self.y), self.k
+        start, k = self.problem.save(self.y), self.kinematics
         trial = self.options.trial * self.asked.time_step
         done, _ = self._step(ImplicitEuler(), trial, trial)
         if done is not None:
-            k = replace(k, acceleration=self.k.acceleration, filtered=self.k.acceleration)
+            k = replace(k, acceleration=self.kinematics.acceleration, filtered=self.kinematics.acceleration)
         self.problem = self.problem.at(0.0)
         self.problem.restore(self.y, start)
-        self.k = k
+        self.kinematics = k
 
     def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome]:
         """One step over h (s) to the time `end`; nothing has changed where it fails."""
-        y, k = self.y, self.k
+        y, k = self.y, self.kinematics
         start, before = self.problem.save(y), self.solver.counts.iterations
         problem = self.problem.at(end)
         self.folds.follow(self.problem, self.problem.point(y))
         forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
         prediction = scheme.predict(k, h)
-        self._begin_contact(forces, prediction)
+        struck = self._begin_contact(forces, prediction)
         self._guess(problem, prediction)
-        prediction, step, wanted, outcome = self._solve(forces, prediction)
+        prediction, step, wanted, outcome = self._solve(forces, prediction, struck)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
             self.path.seconds |= {"contact": problem.contact.seconds}
@@ -209,7 +208,7 @@ class Stepper:
             return None, Outcome(False, outcome.method, refusal)
         self.path.pushed = pushed_vertices(problem, x)
         self.path.supporting = ended.supporting() if problem.held else None
-        self.problem, self.k = problem, ended.after
+        self.problem, self.kinematics = problem, ended.after
         if scheme is self.asked.scheme:
             self.path.books.enter(entries)
             self.folds.lost = 0.0
@@ -229,7 +228,7 @@ class Stepper:
     def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Ended, dict[str, float]]:
         """A step that ends at y, and its entries in the books."""
         x = forces.problem.positions(self.y)
-        after = forces.scheme.update(self.k, forces.h, prediction, x)
+        after = forces.scheme.update(self.kinematics, forces.h, prediction, x)
         ended = Ended(forces, self.y, after, prediction, self.folds.lost)
         return ended, self.path.books.entries(ended)
 
@@ -241,7 +240,7 @@ class Stepper:
 
     def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: Reals) -> str:
         """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
-        k, asked = self.k, self.asked
+        k, asked = self.kinematics, self.asked
         if problem.contact:
             crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
             if not problem.everywhere(not crosses.any()):
@@ -261,36 +260,38 @@ class Stepper:
         return "" if error <= 1.0 or h <= self.finest else "the local error of a step is too large"
 
     def _solve(
-        self, forces: StepForces, prediction: Prediction
+        self, forces: StepForces, prediction: Prediction, struck: float | Reals
     ) -> tuple[Prediction, Problem, float, Outcome]:
-        """The step's equations from the guess y, with implicit Euler wherever contact turns out to bear; their
-        prediction, problem, tolerance (N) and outcome."""
+        """The step's equations from the guess y, with implicit Euler wherever contact turns out to be active;
+        their prediction, problem, tolerance (N) and outcome. struck: see `_begin_contact`."""
         problem, wanted = forces.problem, 0.0
-        euler = ImplicitEuler().predict(self.k, forces.h)
-        euler = replace(euler, predicted=euler.predicted + self.struck, still=euler.still + self.struck)
-        bearing = self._bearing(problem, driven(problem))
+        euler = ImplicitEuler().predict(self.kinematics, forces.h)
+        euler = replace(euler, predicted=euler.predicted + struck, still=euler.still + struck)
+        by_euler = self._by_euler(problem, driven(problem))
         while True:
-            prediction = prediction.where(bearing, euler)
+            prediction = prediction.where(by_euler, euler)
             step = forces.balance(prediction)
             wanted = wanted or self._wanted(step, prediction)
             outcome = self.solver.solve(step, self.y, wanted)
-            now = self._bearing(problem, bearing)
-            if not outcome.converged or problem.everywhere(np.array_equal(now, bearing)):
+            now = self._by_euler(problem, by_euler)
+            if not outcome.converged or problem.everywhere(np.array_equal(now, by_euler)):
                 return prediction, step, wanted, outcome
-            bearing = now
+            by_euler = now
 
-    def _begin_contact(self, forces: StepForces, prediction: Prediction) -> None:
-        """Slip counts from here, impacts rebound."""
-        problem, k, h, begin = forces.problem, self.k, forces.h, forces.start.time
-        if problem.contact:
-            fall, inertia = h**2 * self.fall, float(np.max(prediction.coefficient)) * self.mass
-            problem.contact.begin(k.positions, begin, inertia, fall, self.closes)
-            problem.contact.let_in(problem.time)
-            if isinstance(forces.scheme, MoreauJean):
-                rest, flight = self.options.rest * fall, (h * k.velocity, h**2 * k.acceleration)
-                self.struck = problem.contact.rebound(k.positions, begin, problem.time, *flight, rest)
+    def _begin_contact(self, forces: StepForces, prediction: Prediction) -> float | Reals:
+        """Slip counts from here, impacts rebound: (n, 3) m, see `Contact.rebound`."""
+        problem, k, h, begin = forces.problem, self.kinematics, forces.h, forces.start.time
+        if not problem.contact:
+            return 0.0
+        fall, inertia = h**2 * self.fall, float(np.max(prediction.coefficient)) * self.mass
+        problem.contact.begin(k.positions, begin, inertia, fall, self.closes)
+        problem.contact.let_in(problem.time)
+        if not isinstance(forces.scheme, MoreauJean):
+            return 0.0
+        rest, flight = self.options.rest * fall, (h * k.velocity, h**2 * k.acceleration)
+        return problem.contact.rebound(k.positions, begin, problem.time, *flight, rest)
 
-    def _bearing(self, problem: Problem, known: Flags) -> Flags:
+    def _by_euler(self, problem: Problem, known: Flags) -> Flags:
         """(local vertices, 3) components that are known to be implicit Euler's in this step, and those of vertices that
         bear on something now or did in the last step, with all that is sewn to them."""
         if not problem.contact or isinstance(self.asked.scheme, ImplicitEuler):
@@ -304,7 +305,7 @@ class Stepper:
     def _guess(self, problem: Problem, prediction: Prediction) -> None:
         """Goes as the last acceleration leads, as far as terms admit; where something pushed, as the velocity does,
         for an impact is over; what stuck to an obstacle goes with it."""
-        k = self.k
+        k = self.kinematics
         goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
         if problem.contact:
             stuck, carried = problem.contact.carried(k.positions, problem.time)
