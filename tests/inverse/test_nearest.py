@@ -63,9 +63,9 @@ def neighbours(kind):
     beside.cut = np.inf  # as many modes as it takes
     place = Checkpoint(target.problem.create_vector(), path.rest.copy(), 1.0, 0.0)
     assert beside.linearise(place) and beside.settle(place)
-    gradient = beside.still()
-    gradient.s.axpy(1.0, beside.weigh(wave(target, 0.3, 2e-5)))
-    return beside, place, beside.moves([gradient])[0]
+    gradient = beside.moves.still()
+    gradient.s.axpy(1.0, beside.moves.weigh(wave(target, 0.3, 2e-5)))
+    return beside, place, beside.moves.steepest([gradient])[0]
 
 
 @pytest.mark.parametrize("kind", ["average", "tan", "contact"])

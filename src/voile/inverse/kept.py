@@ -64,7 +64,7 @@ def packed_search(search: Search, point: Checkpoint, reached: bool = False) -> A
     return {
         **said(
             control=[search.radius, search.sink, search.mu, search.budget],
-            beside=[near.weight, near.cut],
+            beside=[near.moves.weight, near.cut],
             bounds=[bounds.breaches, bounds.last],
             steps=[asdict(step) for step in search.steps],
             point=[point.fraction, point.margin, search.last is point, reached],
@@ -73,7 +73,7 @@ def packed_search(search: Search, point: Checkpoint, reached: bool = False) -> A
         "z": point.z.array_r.copy(),
         "values": point.values,
         "modes": columns(point.modes),
-        "free": near.free.copy(),
+        "free": near.moves.free.copy(),
         f"{BULKY}.block": near.modes.block,
     }
 
@@ -83,11 +83,11 @@ def unpacked_search(search: Search, found: Arrays) -> tuple[Checkpoint, bool]:
     near, bounds, figures = search.neighbours, search.target.bounds, heard(found)
     search.radius, search.sink, search.mu, search.budget = figures["control"]
     weight, near.cut = figures["beside"]
-    while near.weight > weight and near.loosen():
+    while near.moves.weight > weight and near.moves.loosen():
         pass
     bounds.breaches, bounds.last = figures["bounds"]
-    if not search.problem.everywhere(np.array_equal(near.free, found["free"])):
-        near.restrict(found["free"])
+    if not search.problem.everywhere(np.array_equal(near.moves.free, found["free"])):
+        near.moves.restrict(found["free"])
     near.modes.block = found.get(f"{BULKY}.block", near.modes.block)
     search.steps[:] = [NearestStep(**step) for step in figures["steps"]]
     fraction, margin, noted, reached = figures["point"]

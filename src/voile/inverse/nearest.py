@@ -27,8 +27,9 @@ from voile.arrays import Flags, Reals
 from voile.inverse.direct import Direct, DirectPath
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_search, unpacked_search
+from voile.inverse.moves import Move
 from voile.inverse.nearest_path import Local, NearestPath, NearestStep, Trial
-from voile.inverse.neighbours import Checkpoint, Move, Neighbours
+from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
@@ -146,7 +147,7 @@ class Nearest:
                 continue
             inside = self._entering(trial.point)
             if not self.problem.everywhere(not inside.any()):
-                self.neighbours.hold(inside)
+                self.neighbours.moves.hold(inside)
                 local = self._model(point, way)
                 continue
             quality = self._quality(trial, local)
@@ -159,7 +160,7 @@ class Nearest:
                     self.sink = trial.sink
                     continue
             self.radius, tries = 0.4 * min(self.radius, trial.length), 0
-            if any(way) and self.radius < STALLS * self.first and self.neighbours.loosen():
+            if any(way) and self.radius < STALLS * self.first and self.neighbours.moves.loosen():
                 self.radius = self.first
                 local = self._model(point, way)
         return None, False
@@ -177,12 +178,12 @@ class Nearest:
         if not near.linearise(point):
             return None
         slopes, cut = near.slopes(point), near.cut
-        pull = Move(near.weigh(point.s), self.problem.create_vector())
-        tangent, loaded = near.tangent(pull, slopes), near.still()
+        pull = Move(near.moves.weigh(point.s), self.problem.create_vector())
+        tangent, loaded = near.moves.tangent(pull, slopes), near.moves.still()
         if way[0]:
             force = near.load_slope(point)
             force.scale(-way[0])
-            loaded = near.least_move(force)
+            loaded = near.moves.least_move(force)
         rows, columns = np.array(list(slopes)).T
         turn, ahead = np.zeros((tangent.s.shape[1], k, k)), np.zeros((k, k))
         turn[:, rows, columns] = turn[:, columns, rows] = tangent.slopes[:, 1:]
@@ -195,7 +196,7 @@ class Nearest:
         model = Model(matrix, turn / cut, tangent.slopes[:, 0], mu, tangent.form)
         rise = (ahead - way[1] * np.eye(k)) / cut
         merit = half + model.value(np.zeros(len(turn)))
-        return Local(model, cut, rise, merit, half, tangent, loaded, near.length(loaded), end)
+        return Local(model, cut, rise, merit, half, tangent, loaded, near.moves.length(loaded), end)
 
     def _propose(self, local: Local, point: Checkpoint, way: tuple[float, float]) -> Trial | None:
         """The minimiser of the model within the radius, as far ahead as half of the stability is kept that it has
@@ -218,7 +219,7 @@ class Nearest:
                 model, c, share = there, d, far
                 break
             far *= 0.5
-        move = self.neighbours.move(local.tangent.s @ c, local.tangent.z @ c)
+        move = self.neighbours.moves.move(local.tangent.s @ c, local.tangent.z @ c)
         move.axpy(share, local.loaded)
         return Trial(
             point.beside(move, share * way[0], share * way[1]),
@@ -241,7 +242,7 @@ class Nearest:
         self.sink = max(trial.sink, 0.5 * self.sink)
         if trial.share:
             return float(above[0]) / trial.lowest
-        half = 0.5 * point.s.dot(self.neighbours.weigh(point.s))
+        half = 0.5 * point.s.dot(self.neighbours.moves.weigh(point.s))
         merit = half + local.model.mu * float(barrier(above)[0].sum())
         return float((local.merit - merit) / (local.merit - trial.merit))
 
@@ -301,12 +302,12 @@ class Nearest:
     def nearer(self, point: Checkpoint) -> Checkpoint:
         """From a point that simulations leave, with whatever margin: the nearest that steps find which count the rest
         shape's moves the least."""
-        if not self.neighbours.loosen():  # the way has led along those
+        if not self.neighbours.moves.loosen():  # the way has led along those
             return point
-        while self.neighbours.loosen():
+        while self.neighbours.moves.loosen():
             pass
         self.budget, self.radius = EXTRA, max(self.radius, self.first)
-        self.mu = SHARES[0] * 0.5 * point.s.dot(self.neighbours.weigh(point.s))
+        self.mu = SHARES[0] * 0.5 * point.s.dot(self.neighbours.moves.weigh(point.s))
         return self.advance(point, 1.0, point.margin, EXACT)[0]
 
     def settled(self, point: Checkpoint, margin: float) -> Checkpoint:
@@ -358,7 +359,7 @@ def approach(
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
         search = Nearest(Direct(target, PRECISE), clock, on_step, journal or Journal())
-        if not search.neighbours.movable:  # all of it touches
+        if not search.neighbours.moves.movable:  # all of it touches
             return None
         point, reached = search.reach(path, first * search.neighbours.slow)
         if reached:

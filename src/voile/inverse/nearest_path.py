@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 from voile.arrays import Reals
-from voile.inverse.neighbours import Checkpoint, Move, Tangent
+from voile.inverse.moves import Move, Tangent
+from voile.inverse.neighbours import Checkpoint
 from voile.inverse.spectral import Model
 
 
