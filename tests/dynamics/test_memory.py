@@ -36,7 +36,7 @@ def follow(folder: Path, steps: int) -> list[float]:
     history = HistoryWriter(folder / "history.h5", MPI.COMM_SELF)
 
     def see(step, path):
-        history.add(row(problem, step, path))
+        history.add(row(step, path))
         if path.count % (steps // 10) == 0:
             used.append(resident())
 

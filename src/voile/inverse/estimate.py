@@ -178,7 +178,7 @@ class Estimation:
 
     def _normal_equations(self, p: Reals, states: list[PETSc.Vec]) -> tuple[Reals, Reals]:
         """S^T S and S^T (x - x_o). Raises InputError where the data cannot determine the parameters."""
-        s = self._by_tangents(p, states) if self.smooth else self._by_differences(p, states)
+        s = self._by_tangents(p, states) if self.smooth else self._by_differences(p)
         add = self.observations[0].problem.comm.allreduce
         gram = add(sum(part.T @ part for part in s))
         self._check(gram, p)
@@ -187,7 +187,7 @@ class Estimation:
     def _by_tangents(self, p: Reals, states: list[PETSc.Vec]) -> list[Reals]:
         return [o.slopes(y, self._values(p)) for o, y in zip(self.observations, states, strict=True)]
 
-    def _by_differences(self, p: Reals, states: list[PETSc.Vec]) -> list[Reals]:
+    def _by_differences(self, p: Reals) -> list[Reals]:
         """Of each observation (own unknowns, k). Raises NotConverged where a simulation beside p has no end."""
         columns = []
         for step in DIFFERENCE * np.eye(len(p)):

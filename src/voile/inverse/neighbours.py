@@ -79,7 +79,7 @@ class Neighbours:
         """Brings a point near the one linearised to equilibrium, at its shape or else with the least move, and finds
         its modes; whether there is one."""
         start = point.z.copy()
-        if not self._balance(point):
+        if not self._balance(point, self.direct.tolerance):
             start.copy(point.z)
             if not self._restore(point):
                 return False
@@ -87,17 +87,17 @@ class Neighbours:
 
     def polish(self, point: Checkpoint) -> None:
         """Brings the residual of a point in equilibrium down to round-off, or as near as Newton's method does."""
-        before, self.direct.tolerance, kept = self.direct.tolerance, EXACT, point.z.copy()
-        if not (self.linearise(point) and self._balance(point)):
+        kept = point.z.copy()
+        if not (self.linearise(point) and self._balance(point, EXACT)):
             kept.copy(point.z)
-        self.direct.tolerance = before
 
-    def _tolerance(self, y: PETSc.Vec) -> float:
-        return max(self.direct.tolerance * self.target.load_norm(y), self.direct.floor())
+    def _tolerance(self, y: PETSc.Vec, over_loads: float) -> float:
+        """N."""
+        return max(over_loads * self.target.load_norm(y), self.direct.floor())
 
-    def _balance(self, point: Checkpoint) -> bool:
-        """Equilibrium at the point's shape, by chord steps that Anderson's method speeds up, with a new factor only
-        where these contract the residual too little."""
+    def _balance(self, point: Checkpoint, tolerance: float) -> bool:
+        """Equilibrium at the point's shape to a tolerance over the loads' norm, by chord steps that Anderson's method
+        speeds up, with a new factor only where these contract the residual too little."""
         factor, f, step = self.moves.factor, self.problem.create_vector(), self.problem.create_vector()
         chords, ahead = Anderson(self.problem.comm, len(f.array_r), DEPTH), step.array_r.copy()
         norm, least, anew, kept, poor = math.inf, math.inf, 0, point.z.copy(), 0
@@ -105,7 +105,7 @@ class Neighbours:
             y = self.go_to(point)
             self.target.residual(y, f)
             before, norm = norm, f.norm()
-            if norm <= self._tolerance(y):
+            if norm <= self._tolerance(y, tolerance):
                 return not self.target.bounds.broken(self.target.rest)
             if not norm < WORST * least:
                 return False
@@ -141,7 +141,7 @@ class Neighbours:
                 return False
             self.target.residual(y, f)
             before, norm = norm, f.norm()
-            if norm <= self._tolerance(y):
+            if norm <= self._tolerance(y, self.direct.tolerance):
                 return True
             if not norm < WORST * before or (norm > CONTRACTS * before and not self.linearise(point)):
                 return False

@@ -23,7 +23,7 @@ def constant_blocks(part: Part, share: float = 1.0) -> Reals:
     scalar = np.zeros((len(area), 7, 7))
     scalar[:, :3, :3] = share * firm[:, None, None] * gradients
     forms = _second_forms(part, area, gradients)
-    stiffness = (thickness**3 / 12.0 * area)[:, None, None] * _bending(part, gradients, mu, lam)
+    stiffness = (thickness**3 / 12.0 * area)[:, None, None] * _bending(gradients, mu, lam)
     scalar[:, :6, :6] += np.einsum("mip,mij,mjq->mpq", forms, stiffness, forms)
     blocks = np.zeros((len(area), 21, 21))
     for axis in range(3):
@@ -62,7 +62,7 @@ def _second_forms(part: Part, area: Reals, gradients: Reals) -> Reals:
     return found
 
 
-def _bending(part: Part, gradients: Reals, mu: Reals, lam: Reals) -> Reals:
+def _bending(gradients: Reals, mu: Reals, lam: Reals) -> Reals:
     """(m, 3, 3) second derivatives of |A_rest^-1 B|^2_SV by the II_i (Pa/m^4)."""
     # The inverse of the first form in the basis of the edges from the first corner holds D_2 and D_3.
     a, b, c = gradients[:, 1, 1], gradients[:, 1, 2], gradients[:, 2, 2]

@@ -59,7 +59,7 @@ class TimeSteps:
             self.save(path)
 
     def __call__(self, step: TimeStep, path: TimePath) -> None:
-        self.history.add(row(self.problem, step, path) | self._supports(step, path))
+        self.history.add(row(step, path) | self._supports(step, path))
         if step.residual > MISSED * step.tolerance:
             self.short, self.worst = self.short + 1, max(self.worst, step.residual / step.tolerance)
         if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
@@ -99,7 +99,7 @@ class TimeSteps:
         self.job.writing += time.perf_counter() - began
 
 
-def row(problem: Problem, step: TimeStep, path: TimePath) -> dict[str, Any]:
+def row(step: TimeStep, path: TimePath) -> dict[str, Any]:
     """A step of the history."""
     books, k = path.books, path.kinematics
     momentum, angular = books.momenta(k)
