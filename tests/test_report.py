@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
 from browser import Browser
+from mpi4py import MPI
 from PIL import Image
 from test_film import FLAT, TRIANGLES, write
 
@@ -19,7 +21,7 @@ from voile.errors import InputError
 from voile.post.render import render
 from voile.post.report import report
 from voile.post.report_arrays import GRID, LEVELS, NO_VALUE, levels
-from voile.results import ResultWriter, StaticMesh, read_result, write_summary
+from voile.results import Body, ResultWriter, StaticMesh, read_result, write_summary
 
 ROOT = Path(__file__).parents[1]
 STEPS = np.linspace(0, 0.5, 11)
@@ -107,6 +109,32 @@ def test_it_shows_what_a_picture_shows(browser, tmp_path):
         x[both][:, 0] - x[both][:, 2] for x in (seen, expected)
     )  # against blue, whatever the light
     assert np.corrcoef(red, reddish)[0, 1] > 0.95
+
+
+def test_bodies_stay_under_what_lies_on_them(browser, tmp_path):
+    """Coarse cloth whose vertices lie on a ball hides it, though the middles of its triangles are inside. It showed the
+    ball through holes."""
+    ball = pyvista.Icosphere(nsub=4)
+    points = np.column_stack([0.5 * FLAT[:, 0], 0.5 * FLAT[:, 1], np.ones(len(FLAT))])
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    bodies = (Body("ball", 0.3, np.asarray(ball.points, float), ball.regular_faces),)
+    mesh = StaticMesh(points, TRIANGLES, bodies=bodies)
+    with ResultWriter(tmp_path / "result.vtkhdf", MPI.COMM_SELF, mesh=mesh, scene_text="[scene]") as writer:
+        writer.write_step(
+            1.0, points, np.arange(25), point_data={"gap": np.ones(25)}, placements=np.eye(4)[None]
+        )
+    browser.open(report(tmp_path, tmp_path / "a.html", field="gap").path)
+    browser.value(
+        "[...document.querySelectorAll('#views button')].find(b => b.textContent === 'front').click()"
+    )
+    browser.drawn()
+    covered = coloured(browser.picture("#canvas"))
+    browser.value(
+        "[...document.querySelectorAll('#toggles label')].find(l => /obstacles/.test(l.textContent)).click()"
+    )
+    browser.drawn()
+    alone = coloured(browser.picture("#canvas"))
+    assert alone > 0.05 and covered > 0.999 * alone
 
 
 def test_places_are_the_results(page, run):

@@ -86,8 +86,10 @@ function expand(points, triangles) {
 }
 
 // `shade`: the values of a triangle at its three corners, the same at each corner, so that states are not mixed:
-// every point of the triangle has the state of the corner that it is nearest to.
+// every point of the triangle has the state of the corner that it is nearest to. `behind`: how much further from the
+// eye it is drawn, along the line of sight.
 const VERTEX = `
+  uniform float behind;
   in vec3 shade;
   out vec3 vNormal, vPlace, vCorner;
   flat out vec3 vShade;
@@ -97,7 +99,7 @@ const VERTEX = `
     vNormal = normalMatrix * normal;
     vShade = shade;
     vCorner = vec3(equal(ivec3(gl_VertexID % 3), ivec3(0, 1, 2)));
-    gl_Position = projectionMatrix * place;
+    gl_Position = projectionMatrix * vec4(place.xyz * (1.0 + behind / length(place.xyz)), 1.0);
   }`;
 const FRAGMENT = `
   uniform sampler2D map;
@@ -120,6 +122,17 @@ const FRAGMENT = `
     colour = vec4(mix(base * light, vec3(0.1), 0.55 * meshLines * line), 1.0);
   }`;
 
+const CHORD = 0.2; // edges: bodies are drawn behind the chords of a shape on them, seen aslant, too
+
+function meanEdge(points, triangles) {
+  let sum = 0;
+  for (let k = 0; k < triangles.length; k++) {
+    const [a, b] = [3 * triangles[k], 3 * triangles[k % 3 === 2 ? k - 2 : k + 1]];
+    sum += Math.hypot(points[a] - points[b], points[a + 1] - points[b + 1], points[a + 2] - points[b + 2]);
+  }
+  return sum / triangles.length;
+}
+
 function mapTexture(hexes, smooth) {
   const texels = Uint8Array.from(hexes.flatMap((hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)).concat(255)));
   const texture = new THREE.DataTexture(texels, hexes.length, 1);
@@ -128,10 +141,10 @@ function mapTexture(hexes, smooth) {
   return texture;
 }
 
-function surface(map, colours, options = {}) {
-  const uniforms = { map: { value: map }, colours: { value: colours }, states: { value: false }, meshLines: { value: 0 } };
+function surface(map, colours, behind = 0) {
+  const uniforms = { map: { value: map }, colours: { value: colours }, states: { value: false }, meshLines: { value: 0 }, behind: { value: behind } };
   const material = new THREE.ShaderMaterial({
-    uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, glslVersion: THREE.GLSL3, side: THREE.DoubleSide, ...options,
+    uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, glslVersion: THREE.GLSL3, side: THREE.DoubleSide,
   });
   const mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
   mesh.frustumCulled = false;
@@ -225,7 +238,7 @@ class Viewer {
   addBody(body) {
     const { points, triangles } = stillMesh(body, this.read);
     const colours = mapTexture([this.meta.colours.mark, this.meta.colours.body], false);
-    const made = surface(colours, 2, { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 4 });
+    const made = surface(colours, 2, CHORD * meanEdge(this.stills.start.points, this.triangles));
     const marks = body.marks ? this.read(body.marks) : new Uint8Array(points.length / 3).fill(254);
     setAttribute(made.geometry, "position", expand(points, triangles), 3);
     setAttribute(made.geometry, "normal", creasedNormals(points, triangles, Math.cos((40 * Math.PI) / 180)), 3);
