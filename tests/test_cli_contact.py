@@ -7,7 +7,9 @@ import time
 import h5py
 import numpy as np
 import pytest
+from mesh_helpers import generator
 
+import voile
 from voile.cli import main
 from voile.contact.obstacles import Box
 from voile.post.contact import surfaces
@@ -250,3 +252,17 @@ def test_two_ranks_find_the_same_contact(scene, tmp_path, run_on):
     assert np.allclose(two[4]["moment"], one[4]["moment"], rtol=0, atol=1e-8 * weight * 0.2)
     assert two[4]["area"] == pytest.approx(one[4]["area"], rel=1e-12)
     assert all(np.array_equal(a, b) for a, b in zip(one[5], two[5], strict=True))
+
+
+def test_a_shell_that_starts_inside_a_body_comes_out():
+    """A fine cone of stiff cloth, its upper rim 17 mm, 4 % of its size, inside a ball. Steps without friction had to be
+    shorter than 1 %: none was possible, and the run ended with exit code 3."""
+    points, triangles, *_ = generator("skirt").skirt(0.63, 1.26, 0.27, top=0.0, size=0.0145)
+    result = voile.run(
+        {
+            "shell": {"mesh": (points, triangles), "young": 1e6, "thickness": 3e-3, "density": 300.0},
+            "obstacle": [{"shape": "sphere", "center": [0.0, -0.02, 0.0], "radius": 0.12, "friction": 0.3}],
+            "contact": {"self_contact": True},
+        }
+    )
+    assert result.summary["stable"] and result.summary["contact"]["max_penetration"] < 1e-10

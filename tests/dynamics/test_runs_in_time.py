@@ -210,3 +210,27 @@ def test_adaptive_steps_of_a_flat_landing(scene, tmp_path):
     adaptive = ["--set", "dynamics.adaptive=true", "--set", "dynamics.accuracy=1e-6"]
     assert main(["run", str(scene), "-o", str(tmp_path / "out"), *adaptive]) == 0
     assert read_summary(tmp_path / "out" / "summary.json")["converged"]
+
+
+def test_a_stiff_tile_that_nothing_loads_flies_in_whole_steps(scene, tmp_path, capsys):
+    """The tolerance without loads is no less than the round-off of stretching. Below it half the steps were cut, those
+    left took eight iterations, and the log said that they end above it."""
+    stiff = [
+        "shell.young=1e10",
+        "shell.thickness=1e-2",
+        "shell.velocity=[5, -2, -1]",
+        "loads.gravity=[0, 0, 0]",
+    ]
+    away = [
+        "obstacle.0.center=[0, 0, -9]",
+        "dynamics.theta=0.5",
+        "dynamics.time_step=1e-3",
+    ]
+    sets = [part for key in stiff + away for part in ("--set", key)]
+    sets += ["--set", 'dynamics.scheme="moreau-jean"', "--set", "dynamics.duration=0.02"]
+    assert main(["run", str(scene), "-o", str(tmp_path / "out"), *sets]) == 0
+    history = read_history(tmp_path / "out")
+    assert len(history["time"]) == 20 and history["iterations"].max() <= 2
+    assert (
+        history["residual"] <= history["tolerance"]
+    ).all() and "above their tolerance" not in capsys.readouterr().out

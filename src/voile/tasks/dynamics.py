@@ -44,12 +44,15 @@ def run(job: Run) -> str:
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)
     if steps.short:
-        told = (
-            f"{steps.short} of {path.count} steps end above their tolerance, by up to {steps.worst:.1e} times"
+        told, by = (
+            f"{steps.short} of {path.count} steps",
+            f"above their tolerance, by up to {steps.worst:.1e} times",
         )
         if d.solver == "local-global":
-            told += f", stopped by count, dynamics.iterations = {d.iterations}"
+            told += f" end {by}, stopped by count, dynamics.iterations = {d.iterations}"
             path.reason += f"; {told}"
+        else:  # Newton's method ends a step there for nothing else
+            told += f" converged to round-off, {by}"
         job.tell(f"{told}; history.h5: residual")
     job.summarise(problem, path, dynamics=figures(problem, path), **job.forces(problem, path))
     return "" if path.converged else path.reason

@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import Reals
 from voile.problem.augmented import AugmentedContact
 from voile.problem.contact import contact_of, leads_through
 from voile.problem.imperfection import perturb
@@ -39,7 +40,7 @@ class Options:
     iterations on sheets over a ball; ten drapes take as many in all with 0.3, a tenth more with 0.42. Energies at the
     end fall a little with its length. fresh_rate: while no contact bears yet there is
     no friction either; such a step must move less than `fresh` sizes, which it does at this rate, twice what
-    supports move and half of the least gap. last_rate: hopeless.
+    supports move and half of the least gap; vertices inside an obstacle also by how deep they are. last_rate: hopeless.
     fade: of the rate after a fair step, its square after an easy one, of at most so many iterations; raise_: after one
     that failed. iterations of a descent; rough: its tolerance over the loads or the norm that it starts with; drapes
     take half as many iterations as with 0.1. sharpest: over the loads, no step needs less, and differences of the
@@ -186,9 +187,8 @@ class _March:
 
     def _room(self) -> float:
         """Sizes by which a step without friction may move from y."""
-        contact, problem, x = self.contact, self.problem, self.problem.positions(self.y)
-        gaps = [contact.gap(k, x, problem.time)[problem.own] for k in range(len(contact.obstacles))]
-        least = min((float(gap.min(initial=np.inf)) for gap in gaps), default=0.0)
+        contact, problem = self.contact, self.problem
+        least = float(_gap(problem, self.y)[problem.own].min(initial=np.inf)) if contact.obstacles else 0.0
         least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0) if not contact.itself else 0.0
         return self.options.fresh + 2.0 * self.driven + 0.5 * least / problem.size()
 
@@ -232,6 +232,7 @@ class _March:
             contact.begin(problem.positions(y), problem.time)
         step = problem.with_terms(AugmentedContact(contact), inertia)
         begun, fresh, f = y.copy(), self._fresh(), y.duplicate()
+        depth = np.maximum(-_gap(problem, y), 0.0)
         contact.freeze(problem.positions(y), problem.time)
         step.residual(y, f)
         if not contact.itself:  # layers take long to settle again
@@ -240,7 +241,8 @@ class _March:
         astray = self.method.astray(step)
 
         def too_far(at: PETSc.Vec) -> bool:
-            return fresh and problem.largest_motion(difference(at, begun)) > room
+            moved = np.abs(problem.motion(difference(at, begun))).max(axis=1)
+            return fresh and problem.in_sizes(np.maximum(moved - depth, 0.0)) > room
 
         def vain(at: PETSc.Vec) -> bool:
             return too_far(at) or bool(astray and astray(at))
@@ -298,6 +300,14 @@ def _share(problem: Problem, y: PETSc.Vec) -> float:
     slid off a drum under a tenth of its weight took 5,100 iterations in steps for all of it, 3,300 so."""
     full = problem.at(1.0).load_norm(y)
     return max(problem.load_norm(y) / full, LEAST) if full else 1.0
+
+
+def _gap(problem: Problem, y: PETSc.Vec) -> Reals:
+    """(local vertices,) distance (m) to the nearest obstacle, negative inside."""
+    contact, x = contact_of(problem), problem.positions(y)
+    gaps = [contact.gap(k, x, problem.time) for k in range(len(contact.obstacles))]
+    found: Reals = np.min([np.full(len(x), np.inf), *gaps], axis=0)
+    return found
 
 
 def _driven(problem: Problem) -> float:

@@ -315,17 +315,18 @@ class Stepper:
 
     def _wanted(self, problem: Problem, prediction: Prediction) -> float:
         """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
-        that the guesses have met; no less than the round-off of the inertia."""
-        loads = self.problem.at(problem.time).load_norm(self.y)
+        that the guesses have met; no less than the round-off of the inertia and, without loads, of the forces."""
+        loads, floor = self.problem.at(problem.time).load_norm(self.y), 0.0
         if not loads:
             f = problem.create_vector()
             problem.residual(self.y, f)
-            loads = self.path.largest = max(self.path.largest, f.norm(), force_floor(problem))
+            loads, floor = max(self.path.largest, f.norm()), force_floor(problem)
+            self.path.largest = loads
         heaviest = problem.norm(
             (prediction.coefficient * problem.vertex_mass()[:, None])[problem.own].ravel()
         )
         digits = self.options.digits * float(np.finfo(float).eps) * problem.size()
-        return max(self.asked.tolerance * loads, digits * heaviest)
+        return max(self.asked.tolerance * loads, digits * heaviest, floor)
 
 
 def _residuals(problem: Problem, y: PETSc.Vec, tolerance: float) -> tuple[float, float]:
