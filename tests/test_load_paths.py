@@ -186,6 +186,9 @@ def test_options_go_between_the_arguments_of_export(tmp_path, capsys):
     assert main(["export", result, "--step", "0", str(out)]) == 0
     assert out.is_file()
     assert main(["export", result]) == 2 and "no output; allowed" in capsys.readouterr().err
+    named = str(tmp_path / "named.obj")
+    assert main(["export", result, "-o", named]) == 0 and capsys.readouterr().out.split() == [named]
+    assert main(["export", result, named, "-o", named]) == 2 and " and output " in capsys.readouterr().err
     assert main(["export", result, str(out), "--to", "ply"]) == 2
 
 

@@ -13,6 +13,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("file", type=Path, help="a result folder, or the result.vtkhdf in it")
     parser.add_argument("output", type=Path, nargs="?", help="its ending says the format")
+    parser.add_argument(
+        "-o", dest="named", metavar="OUTPUT", type=Path, help="the same, as other commands have it"
+    )
     parser.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
     parser.add_argument(
         "--step",
@@ -26,8 +29,13 @@ def run(args: argparse.Namespace) -> None:
     """Writes the file, and prints its name."""
     from voile.post.export import PATTERNS, export
 
-    if (args.output is None) == (args.to is None):
-        both = f"output {args.output} and --to {args.to}" if args.to else "no output"
-        raise InputError(f"{both}; allowed: an output file, or --to with a format")
+    given = [f"output {path}" for path in (args.output, args.named) if path] + [f"--to {args.to}"] * bool(
+        args.to
+    )
+    if len(given) != 1:
+        raise InputError(
+            f"{' and '.join(given) or 'no output'}; allowed: an output file, or --to with a format"
+        )
     name = "pattern" if f".{args.to}" in PATTERNS else "shape"
-    print(export(args.file, args.output or folder(args.file) / f"{name}.{args.to}", args.step))
+    out = args.output or args.named or folder(args.file) / f"{name}.{args.to}"
+    print(export(args.file, out, args.step))
