@@ -7,7 +7,7 @@ import pytest
 from voile.contact.obstacles import Box, Plane
 from voile.problem.contact import with_obstacles
 from voile.problem.problem import Problem
-from voile.solver.methods.semismooth import Iterate
+from voile.solver.methods.semismooth import Iteration
 from voile.solver.stepping.control import StepControl
 
 
@@ -38,7 +38,7 @@ def test_what_is_in_equilibrium_stays_where_a_singular_tangent_leads_away(monkey
     floor = Plane(name="floor", friction=0.3, point=np.zeros(3), normal=protocols.UP)
     path, problem = protocols.solve(shell, floor)
     assert path.converged
-    monkeypatch.setattr(Iterate, "_direction", lambda self, *args: args[-1].set(step))
+    monkeypatch.setattr(Iteration, "_direction", lambda self, *args: args[-1].set(step))
     again, problem = protocols.solve(shell, floor, history=problem)
     assert again.converged and again.steps[-1].residual <= again.steps[-1].tolerance
     assert np.abs(problem.positions(again.state) - points).max() < 1e-12
