@@ -28,7 +28,7 @@ ALLOWED = {
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
     "results": {"files", "mesh"},
     "post": {"files", "keys", "results"},
-    "study": {"_kernels", "files", "keys", "mesh", "scene", "results"},
+    "study": {"_kernels", "files", "keys", "mesh", "elastic", "scene", "results"},
 }
 # The command line and its helpers, the only ones that see everything.
 TOP = {"afterwards", "api", "cli", "commands", "explain", "held", "tasks", "validate", "wiring"}

@@ -10,7 +10,7 @@ from test_study import POINT, SCENE
 from voile.mesh import read_mesh, refine, write_obj
 from voile.study import report
 from voile.study.analysis import analyse
-from voile.study.execute import Record
+from voile.study.execute import Record, Runs
 from voile.study.measures import figure, mean_weights
 from voile.study.plan import read_plan
 from voile.study.series import extrapolate
@@ -83,6 +83,60 @@ refine = [0, 1, 2]
         assert parts["iteration"] == pytest.approx(0.01 * (s["statics.tolerance"] == 1e-2), abs=1e-8)
         assert parts["model"] == pytest.approx(0.05 * (s["shell.model"] == "projective"), abs=1e-8)
     assert all(s.rate == pytest.approx(2.0, abs=1e-6) for s in found.series)
+
+
+@pytest.mark.parametrize(("off", "kind"), [(0.0, "discretisation"), (1e-4, "discretisation"), (0.2, "model")])
+def test_normals_are_another_model_where_their_limit_is_another(off, kind, findings):
+    """`sin` and `tan` go to one shell; `average` on some meshes only, and no study of two meshes can tell."""
+
+    def value(s):
+        return 1.0 + off * (s["shell.bending"] == "average") + 0.2 * 0.25 ** s["refine"]
+
+    text = 'reference = "extrapolate"\n[vary]\nrefine = [%s]\n"shell.bending" = ["tan", "sin", "average"]\n'
+    for levels, average in (("0, 1, 2", kind), ("0, 1", "model")):
+        found = findings(
+            (text % levels).replace('"extrapolate"', '"extrapolate"' if "2" in levels else "1.0"),
+            value,
+            lambda s: 1.0,
+        )
+        told = {row.run.name: row.changes for row in found.rows}
+        last = levels[-1]
+        assert told[f"refine={last} shell.bending=sin"] == {"discretisation": ["shell.bending"]}
+        assert told[f"refine={last} shell.bending=average"] == {average: ["shell.bending"]}
+
+
+def test_keys_that_a_scene_makes_nothing_of_neither_change_nor_repeat_a_run(findings):
+    """Hinges have no mid-edge normals, Newton's method no local and global iterations."""
+    text = """reference = 1.0
+[vary]
+"shell.model" = ["koiter", "discrete-shells"]
+"shell.bending" = ["average", "tan"]
+"""
+    found = findings(text, lambda s: 1.0, lambda s: 1.0)
+    assert [row.run.effective["shell.bending"] for row in found.rows] == ["average", "tan", None]
+    assert found.rows[2].changes == {"model": ["shell.model"]}
+    text = """reference = 1.0
+[vary]
+"scene.task" = ["dynamics"]
+"shell.model" = ["projective"]
+"dynamics.solver" = ["newton", "local-global"]
+"dynamics.iterations" = [5, 10]
+"""
+    found = findings(text, lambda s: 1.0, lambda s: 1.0)
+    assert [row.run.effective["dynamics.iterations"] for row in found.rows] == [None, 5, 10]
+
+
+def test_errors_in_the_table_have_the_digits_of_values(findings, tmp_path):
+    """Ranks sum in another order each time: what that changes is in no table."""
+
+    def table(noise):
+        text = 'reference = "extrapolate"\n[vary]\nrefine = [0, 1, 2]\nranks = [1, 2]\n'
+        found = findings(
+            text, lambda s: 1.0 + 0.2 * 0.25 ** s["refine"] + noise * (s["ranks"] - 1), lambda s: 1.0
+        )
+        return report._csv(found, Runs(found.plan, tmp_path))
+
+    assert table(3e-14) == table(1e-14)
 
 
 @pytest.mark.parametrize(("rate", "guess"), [(2.0, False), (1.0, False), (0.4, True)])

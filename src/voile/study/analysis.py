@@ -6,8 +6,19 @@ from typing import Any
 from voile.study.execute import CONVERGED, Record
 from voile.study.plan import Plan, Run, changed
 from voile.study.schema import Known
-from voile.study.series import ENDS, REFINE, SIZED, TIME_STEP, Series, better, ends, find_series, rate_to
-from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, Settings, changes, told
+from voile.study.series import (
+    ENDS,
+    MESH,
+    REFINE,
+    SIZED,
+    TIME_STEP,
+    Series,
+    better,
+    ends,
+    find_series,
+    rate_to,
+)
+from voile.study.settings import DISCRETE, ITERATION, MODEL, NORMALS, TIME, Settings, changes, different, told
 
 # As slow as another run, as far as clocks tell: within this factor, and s that starting a program takes more or less.
 ALIKE, SCATTER = 1.25, 0.25
@@ -90,6 +101,8 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     last = ends(plan.runs, records)
     for k, row in enumerate(rows):
         row.changes = changed(row.run, plan.runs[origin])
+        if row.changes.get(MODEL) == [NORMALS] and _same_limits(plan, records, series, k, origin):
+            row.changes = {DISCRETE: [*row.changes.pop(DISCRETE, []), *row.changes.pop(MODEL)]} | row.changes
         if k != plan.reference and row.record.status == CONVERGED:
             _measure(k, row, rows, references, series, last)
     for k, others in better(plan.runs, records).items():
@@ -115,7 +128,9 @@ def _origin(plan: Plan, records: list[Record]) -> int:
         now = plan.runs[k].effective
         others = sum(repr(now[name]) != value for name, value in first.items())
         fine = [-float(now.get(REFINE) or 0), float(now.get(TIME_STEP) or 0)]
-        fine += [float(now[n]) * (-1 if largest else 1) for n, largest in ENDS.items() if n in now]
+        fine += [
+            float(v) * (-1 if largest else 1) for n, largest in ENDS.items() if (v := now.get(n)) is not None
+        ]
         return records[k].status != CONVERGED, others, fine, -(records[k].dofs or 0)
 
     return min(range(len(plan.runs)), key=rank)
@@ -134,16 +149,33 @@ def _reference(
         return None
     if plan.reference is not None:
         return value, f"the run {told(plan.runs[origin].settings)}"
-    limits = _limits(series, name, origin)
-    if not limits:
+    limit, along = _limit(records, series, name, origin)
+    if limit is None:
         return None
-    value += sum((s.limit or 0.0) - value for s in limits)
-    return value, f"{LIMIT} over {' and '.join(s.along for s in limits)} from {plan.runs[origin].name}"
+    return limit, f"{LIMIT} over {' and '.join(along)} from {plan.runs[origin].name}"
 
 
 def _limits(series: list[Series], name: str, origin: int) -> list[Series]:
     """The series of a measure with a limit that a run belongs to."""
     return [s for s in series if s.measure == name and origin in s.members and s.limit is not None]
+
+
+def _limit(records: list[Record], series: list[Series], name: str, k: int) -> tuple[float | None, list[str]]:
+    """What a measure of a run goes to, and along what; None where nothing tells."""
+    limits, value = _limits(series, name, k), records[k].values.get(name)
+    if value is None or not limits:
+        return None, []
+    return value + sum((s.limit or 0.0) - value for s in limits), [s.along for s in limits]
+
+
+def _same_limits(plan: Plan, records: list[Record], series: list[Series], one: int, other: int) -> bool:
+    """Whether two runs are shown to go to the same values on finer meshes, as far as the study asks."""
+    asked = min(plan.study.study.accuracy)
+    for measure in plan.measures:
+        (a, along), (b, _) = (_limit(records, series, measure.name, k) for k in (one, other))
+        if a is None or b is None or not {REFINE, MESH} & set(along) or abs(a - b) > asked * abs(b):
+            return False
+    return True
 
 
 def _far(plan: Plan, series: list[Series], name: str, origin: int) -> bool:
@@ -233,4 +265,4 @@ def _choice(accuracy: float, rows: list[Row]) -> Choice:
 
 def _only(name: str, one: Settings, other: Settings) -> bool:
     """Whether settings differ in this one alone."""
-    return [n for n in one if repr(one[n]) != repr(other[n])] == [name]
+    return different(one, other) == [name]

@@ -76,6 +76,7 @@ def _kinds(findings: Findings) -> dict[str, list[Row]]:
             words = (
                 f"{v}" if isinstance(v := row.run.effective[n], str) else f"{n.rpartition('.')[2]} {v}"
                 for n in plain
+                if row.run.effective[n] is not None
             )
             found.setdefault(", ".join(words), []).append(row)
     return found

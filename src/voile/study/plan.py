@@ -23,8 +23,10 @@ from voile.study.settings import (
     Settings,
     brief,
     changes,
+    different,
     full,
     overrides,
+    taken,
     told,
     value_of,
 )
@@ -153,23 +155,23 @@ def _run(name: str, settings: Settings, path: Path, names: list[str]) -> Run:
             scene, refused = None, f"this version cannot run {'; '.join(missing)}"
     except InputError as error:
         refused = str(error)
-    own = {RANKS: settings.get(RANKS, 1)}
+    own, bare = {RANKS: settings.get(RANKS, 1)}, scene and taken(scene)
     effective = {
         brief(n): own[n]
         if n in own
-        else value_of(scene, n)
-        if scene
+        else value_of(bare, n)
+        if bare
         else settings.get(brief(n), settings.get(n))
         for n in names
     }
-    return Run(name, settings, scene, refused, _key(scene, settings), effective)
+    return Run(name, settings, scene, refused, _key(bare, settings), effective)
 
 
 # ---- what decides a result ----
 
 
 def _key(scene: Scene | None, settings: Settings) -> str:
-    """Hash of the scene with the contents of its files, of settings beside it, and of the program."""
+    """Hash of what a scene takes with the contents of its files, of settings beside it, and of the program."""
     parts: list[Any] = [program(), settings.get(RANKS, 1)]
     parts.append(
         contents(dataclasses.replace(scene, text="", path=Path())) if scene else sorted(settings.items())
@@ -218,7 +220,7 @@ def program() -> str:
 def changed(run: Run, origin: Run) -> dict[str, list[str]]:
     """What a run changes of another: kind of change -> settings, cost last."""
     found: dict[str, list[str]] = {}
-    for name, value in run.effective.items():
-        if repr(value) != repr(origin.effective[name]):
-            found.setdefault(changes(name), []).append(name)
+    for name in different(run.effective, origin.effective):
+        kind = changes(name, run.effective[name], origin.effective[name])
+        found.setdefault(kind, []).append(name)
     return dict(sorted(found.items(), key=lambda item: item[0] == COST))

@@ -14,7 +14,7 @@ from voile.study.series import Series
 from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, plain
 
 PARTS = (MODEL, DISCRETE, TIME, ITERATION)
-DIGITS = 9  # of values and errors in the table: what residuals leave of them
+DIGITS = 9  # of values in the table, and decimals of errors over the reference: what residuals leave of them
 
 
 def write_files(findings: Findings, runs: Runs) -> list[Path]:
@@ -55,8 +55,8 @@ def _cells(findings: Findings, row: Row, runs: Runs) -> dict[str, Any]:
         "run": row.run.name,
         "status": record.status,
         "changes": what_changes(findings, row),
-        "error": _number(row.error),
-        "trusted error": _number(row.counted),
+        "error": _error(row.error, *findings.references.values()),
+        "trusted error": _error(row.counted, *findings.references.values()),
         "front": "yes" if row.front else "",
         "seconds": _number(row.seconds, 4),
         "wall_seconds": _number(record.seconds, 4),
@@ -71,10 +71,16 @@ def _cells(findings: Findings, row: Row, runs: Runs) -> dict[str, Any]:
     cells |= _jsonable(row.run.effective)
     for m in findings.plan.measures:
         cells[m.name] = _number(record.values.get(m.name))
-        cells[f"error {m.name}"] = _number(row.errors.get(m.name))
+        reference = findings.references.get(m.name, 0.0)
+        cells[f"error {m.name}"] = _error(row.errors.get(m.name), reference)
         for kind, part in row.parts.get(m.name, {}).items():
-            cells[f"{kind} error {m.name}"] = _number(part)
+            cells[f"{kind} error {m.name}"] = _error(part, reference)
     return cells
+
+
+def _error(error: float | None, *references: float) -> str:
+    """An error over its reference; over none (0) it has digits like a value."""
+    return _number(round(error, DIGITS) if error is not None and all(references) else error)
 
 
 def _number(value: float | None, digits: int = DIGITS) -> str:
@@ -231,7 +237,9 @@ def _rate_lines(findings: Findings) -> list[str]:
             else "no rate of its own"
         )
         to = "" if rate is None else f"; {rate:.2f} to the reference"
-        others = ", ".join(f"{n}={v}" for n, v in _jsonable(s.settings).items() if n in findings.varied)
+        others = ", ".join(
+            f"{n}={v}" for n, v in _jsonable(s.settings).items() if n in findings.varied and v is not None
+        )
         lines.append(f"{s.measure} over {s.along}{f' ({others})' if others else ''}: {own}{to}")
     return lines
 

@@ -71,7 +71,7 @@ def siblings(runs: tuple[Run, ...], records: list[Record], along: str) -> list[l
     """Groups of converged runs that differ in one setting only."""
     groups: dict[str, list[int]] = {}
     for k, (run, record) in enumerate(zip(runs, records, strict=True)):
-        if record.status == CONVERGED and along in run.effective:
+        if record.status == CONVERGED and run.effective.get(along) is not None:
             others = {n: v for n, v in run.effective.items() if n != along}
             groups.setdefault(repr(others), []).append(k)
     return [group for group in groups.values() if len(group) > 1]

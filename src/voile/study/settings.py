@@ -1,10 +1,11 @@
 """Settings: keys of a scene, or of how it is run, with values that a study gives them."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from voile.elastic import BENDING, MODELS
 from voile.keys import Integer, Rejected, Selection, Table, Tables
 from voile.keys.kinds import Kind
 from voile.keys.kinds import read_key as read_named
@@ -23,7 +24,7 @@ CHANGES = {
     "shell.refine": DISCRETE,
     "shell.refine_smooth": DISCRETE,
     "shell.mesh": DISCRETE,
-    "shell.bending": DISCRETE,  # mid-edge normals of one shell; what fine meshes leave of it counts as model
+    "shell.bending": DISCRETE,  # mid-edge normals of one shell, see `changes`
     "dynamics.time_step": TIME,
     "dynamics.scheme": TIME,
     "dynamics.adaptive": TIME,
@@ -44,6 +45,16 @@ CHANGES = {
     "output": COST,
     RANKS: COST,
 }
+NORMALS = "shell.bending"
+# Keys that only some scenes make anything of, and which.
+TAKEN: dict[str, Callable[[Scene], bool]] = {
+    NORMALS: lambda scene: MODELS[scene.shell.model].normals,
+    "shell.material": lambda scene: MODELS[scene.shell.model].material,
+    "dynamics.iterations": lambda scene: scene.dynamics.solver == "local-global",
+    "dynamics.accuracy": lambda scene: scene.dynamics.adaptive,
+    "dynamics.spectral_radius": lambda scene: scene.dynamics.scheme == "generalized-alpha",
+    "dynamics.theta": lambda scene: scene.dynamics.scheme == "moreau-jean",
+}
 
 
 def full(name: str) -> str:
@@ -56,8 +67,10 @@ def brief(name: str) -> str:
     return {key: word for word, key in SHORT.items()}.get(name, name)
 
 
-def changes(name: str) -> str:
-    """What a setting changes: MODEL, DISCRETE, TIME, ITERATION or COST."""
+def changes(name: str, *values: Any) -> str:
+    """What a setting changes, between these values: MODEL, DISCRETE, TIME, ITERATION or COST."""
+    if name == NORMALS and not all(BENDING.get(value, True) for value in values):
+        return MODEL  # without directors a shell bends as its triangles lie, on many meshes at any size
     parts = full(name).split(".")
     prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
     return next((CHANGES[p] for p in prefixes if p in CHANGES), MODEL)
@@ -120,6 +133,22 @@ def value_of(scene: Scene, name: str) -> Any:
         elif node is not None:
             node = getattr(node, Table(type(node)).fields[part].name, None)
     return node
+
+
+def taken(scene: Scene) -> Scene:
+    """A scene with None for the keys that it makes nothing of: what decides its result."""
+    for name, takes in TAKEN.items():
+        if not takes(scene):
+            table, key = name.split(".")
+            bare = dataclasses.replace(getattr(scene, table), **{key: None})
+            scene = dataclasses.replace(scene, **{table: bare})
+    return scene
+
+
+def different(one: Settings, other: Settings) -> list[str]:
+    """The settings that differ, of those that both make something of."""
+    idle = [name for name in TAKEN if None in (one.get(name), other.get(name))]
+    return [name for name in one if name not in idle and repr(one[name]) != repr(other[name])]
 
 
 def plain(value: Any) -> Any:
