@@ -99,7 +99,6 @@ class Stepper:
     def __init__(self, problem: Problem, options: TimeOptions, solver: StepSolver, path: TimePath):
         self.problem, self.asked, self.solver, self.path = problem.at(path.time), options, solver, path
         self.options, self.y, self.kinematics = Options(), path.state.copy(), path.kinematics
-        self.wish = 0.0  # s, what the local error allows
         self.damping, path.length = options.damping, path.length or options.time_step
         solver.counts.add(path.counts)
         path.counts = solver.counts
@@ -129,17 +128,16 @@ class Stepper:
             if asked.duration - path.time < (1.0 + self.options.close) * h:
                 h, end = asked.duration - path.time, asked.duration
             path.attempts += 1
-            self.wish = 0.0
-            done, outcome = self._step(asked.scheme, h, end)
+            done, outcome, wish = self._step(asked.scheme, h, end)
             if done is None:
-                path.length = min(self.options.cut * h, self.wish) if self.wish else self.options.cut * h
+                path.length = min(self.options.cut * h, wish or h)
                 if path.length < self.options.smallest * asked.time_step or self.creation.nonsense:
                     nonsense = self.creation.nonsense
                     wrong = f"; {asked.advice} help" if nonsense else crushed(self.problem, self.y)
                     path.reason = f"{outcome.reason}; at time {path.time:g} s{wrong}"
                     return
                 continue
-            grown = self.wish or max(path.length, self.options.longer * h)
+            grown = wish or max(path.length, self.options.longer * h)
             path.length = min(asked.time_step, grown)
             path.last, path.time = done, done.time
             path.methods.append(done.method)
@@ -171,15 +169,16 @@ class Stepper:
         """The acceleration at the start, of a short trial step, from which director angles are kept."""
         start, k = self.problem.save(self.y), self.kinematics
         trial = self.options.trial * self.asked.time_step
-        done, _ = self._step(ImplicitEuler(), trial, trial)
+        done = self._step(ImplicitEuler(), trial, trial)[0]
         if done is not None:
             k = replace(k, acceleration=self.kinematics.acceleration, filtered=self.kinematics.acceleration)
         self.problem = self.problem.at(0.0)
         self.problem.restore(self.y, start)
         self.kinematics = k
 
-    def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome]:
-        """One step over h (s) to the time `end`; nothing has changed where it fails."""
+    def _step(self, scheme: Scheme, h: float, end: float) -> tuple[TimeStep | None, Outcome, float]:
+        """One step over h (s) to the time `end`, its outcome, and the length (s) that its local error allows, 0 where
+        that is not known; nothing has changed where it fails."""
         y, k = self.y, self.kinematics
         start, before = self.problem.save(y), self.solver.counts.iterations
         problem = self.problem.at(end)
@@ -194,18 +193,17 @@ class Stepper:
             self.path.seconds |= {"contact": problem.contact.seconds}
         if not outcome.converged:
             problem.restore(y, start)
-            return None, outcome
+            return None, outcome, 0.0
         ended, entries = self._ended(forces, prediction)
         if self._misses(entries, end):
             self.solver.sharpen(step, y, wanted)
             ended, entries = self._ended(forces, prediction)
         x = ended.after.positions
-        refusal = self._refusal(problem, prediction, start.time, h, x)
-        if not refusal:
-            refusal = self.creation.refusal(self.path.books, entries, h <= self.finest)
+        refusal, wish = self._refusal(problem, prediction, start.time, h, x)
+        refusal = refusal or self.creation.refusal(self.path.books, entries, h <= self.finest)
         if refusal:
             problem.restore(y, start)
-            return None, Outcome(False, outcome.method, refusal)
+            return None, Outcome(False, outcome.method, refusal), wish
         self.path.pushed = pushed_vertices(problem, x)
         self.path.supporting = ended.supporting() if problem.held else None
         self.problem, self.kinematics = problem, ended.after
@@ -223,7 +221,7 @@ class Stepper:
             outcome.method,
             self._speed(),
         )
-        return done, outcome
+        return done, outcome, wish
 
     def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Ended, dict[str, float]]:
         """A step that ends at y, and its entries in the books."""
@@ -238,26 +236,28 @@ class Stepper:
         share = min(end / self.asked.duration, 1.0)
         return abs(books.error + entries["error"]) > self.options.closes * share * books.let(entries)
 
-    def _refusal(self, problem: Problem, p: Prediction, began: float, h: float, x: Reals) -> str:
-        """Why the step over h (s) to positions x (n, 3) may not be taken; empty where it may."""
+    def _refusal(
+        self, problem: Problem, p: Prediction, began: float, h: float, x: Reals
+    ) -> tuple[str, float]:
+        """Why the step over h (s) to positions x (n, 3) may not be taken, empty where it may; and the length (s) that
+        its local error allows, 0 where that is not asked."""
         k, asked = self.kinematics, self.asked
         if problem.contact:
             crosses = problem.contact.crosses(k.positions, began, x, problem.time)[problem.own]
             if not problem.everywhere(not crosses.any()):
                 blurred = [f"; {o.name}: {o.blurred}" for o in problem.contact.obstacles if o.blurred]
-                return f"a step leads through an obstacle{''.join(blurred)}"
+                return f"a step leads through an obstacle{''.join(blurred)}", 0.0
         if not asked.accuracy:
-            return ""
+            return "", 0.0
         jump = 0.5 * h * (p.velocity(x) - k.velocity)
         if asked.scheme.order == 2:
             smooth = h**2 / 12.0 * (p.acceleration(x) - k.acceleration)
             jump = np.where(np.broadcast_to(p.rate, x.shape) == 1.0 / h, jump, smooth)
         error = max(problem.in_sizes(jump[problem.own]) / asked.accuracy, float(np.finfo(float).tiny))
         options = self.options
-        self.wish = h * min(
-            max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer
-        )
-        return "" if error <= 1.0 or h <= self.finest else "the local error of a step is too large"
+        share = min(max(0.9 * error ** (-1.0 / (1 + asked.scheme.order)), options.cut), options.longer)
+        fair = error <= 1.0 or h <= self.finest
+        return "" if fair else "the local error of a step is too large", h * share
 
     def _solve(
         self, forces: StepForces, prediction: Prediction, struck: float | Reals
