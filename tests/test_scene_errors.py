@@ -132,6 +132,12 @@ def test_unreadable_files(tmp_path):
         assert refusal(tmp_path, text).startswith("scene.toml")
 
 
+def test_an_hdf5_file_is_told_by_what_reads_it(tmp_path):
+    (tmp_path / "problem.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(InputError, match=r"an HDF5 file; a scene file .* `voile friction` friction problems"):
+        read_scene(tmp_path / "problem.h5")
+
+
 # ---- the schema refuses what the reader refuses ----
 
 

@@ -60,8 +60,8 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
         raise InputError(
             f"fix: the edge between vertices {start[k]} and {end[k]} is clamped but may slide, and neither "
             "its normal nor its in-plane normal lies along the supported axes; support all axes there, or "
-            "only that across a plane of symmetry that holds the edge (not at a right angle: bending = sin, "
-            "tan or theta)"
+            "only that across a plane of symmetry that holds the edge (a shell that does not meet it at a right "
+            "angle needs bending = sin, tan or theta)"
         )
     vector = np.einsum("kai,ka->ki", axes, np.where(use_conormal[:, None], conormal, director))
     return np.column_stack([half, use_conormal, at_rest, vector]), angles

@@ -108,6 +108,11 @@ def _read_text(path: Path, what: str) -> str:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {what} (TOML) is needed") from None
     except UnicodeDecodeError as error:
+        if error.object.startswith(b"\x89HDF"):
+            raise InputError(
+                f"{path}: an HDF5 file; {what} (TOML) is needed. `voile info` reads results, `voile friction` friction "
+                "problems"
+            ) from None
         raise InputError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
