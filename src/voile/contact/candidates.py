@@ -39,7 +39,9 @@ class Layers:
     """All n vertices of a shell as layers that keep `thickness` (m) between their mid-surfaces.
 
     points (n, 3) m; triangles (m, 3); edges (e, 2); excluded (b, 2): vertices too near along the cloth to touch, or
-    `caught` at the start where a seam gapes (how many); friction: Coulomb's coefficient; known (k,): codes of pairs,
+    `caught` at the start where a seam gapes (how many); seams (k, 2): those of them that only a seam joins, further
+    along it: a pair with one of these may touch, but for those of codes barred (l,); friction: Coulomb's coefficient;
+    known (k,): codes of pairs,
     ascending, that keep another distance apart (k,) m; keeps: as do all that start nearer than the thickness, which a
     motion is not to begin with throwing apart.
     """
@@ -54,13 +56,16 @@ class Layers:
     known: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     min_distance: Reals = field(default_factory=lambda: np.zeros(0))
     keeps: bool = False
+    seams: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    barred: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
         ipctk.set_logger_level(ipctk.LoggerLevel.error)  # it warns of small gaps, as touching layers have
         self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
         self.edges = np.ascontiguousarray(self.edges, dtype=np.int32)
-        self._excluded = self._pair_code(*self.excluded.T)
+        excluded, joined = self._pair_code(*self.excluded.T), self._pair_code(*self.seams.T)
+        self._excluded, self._joined = np.setdiff1d(excluded, joined), np.intersect1d(excluded, joined)
         self._wary = np.isin(np.arange(len(self.points)), self.excluded)  # vertices of those pairs
         self._split = len(self.triangles) * len(self.points)  # codes from here on are of edges
         self._mesh = ipctk.CollisionMesh(self.points, self.edges, self.triangles)
@@ -90,6 +95,13 @@ class Layers:
         distance = closest(here, x).distance
         near = distance < self.thickness
         return replace(self, known=here.code[near], min_distance=distance[near])
+
+    def joined(self, distance: float) -> Ints:
+        """(l,) codes of the pairs with vertices that a seam joins, nearer at the start than distance (m)."""
+        found = self.find(self.points, further=distance - self.thickness)
+        parts = zip((found.vertex[: found.faces], found.vertex[found.faces :]), ACROSS, strict=True)
+        across = [self._across(vertex, sides, self._joined) for vertex, sides in parts]
+        return found.code[np.concatenate(across) > 0]
 
     def nearer(self, distance: float) -> Ints:
         """(b, 2) pairs of vertices across from each other in the pairs of the start nearer than distance (m)."""
@@ -192,13 +204,21 @@ class Layers:
         return face, self._split + low * e + high
 
     def _open(self, code: Ints) -> Flags:
-        """(c,) marks those of codes, all of faces or all of edges, that are not excluded."""
-        vertex, excluded = self._vertices(code), np.zeros(len(code), dtype=bool)
-        for i, j in ACROSS[0 if self._faces(code) else 1]:
+        """(c,) marks those of codes, all of faces or all of edges, that are not excluded. Two vertices of the one side
+        joined to the other, or one between two, lie along the seam: both triangulations have chords of it there."""
+        vertex, sides = self._vertices(code), ACROSS[0 if self._faces(code) else 1]
+        near, joined = (self._across(vertex, sides, pairs) for pairs in (self._excluded, self._joined))
+        found: Flags = (near == 0) & (joined < 2) & ~np.isin(code, self.barred)
+        return found
+
+    def _across(self, vertex: Ints, sides: tuple[tuple[int, int], ...], pairs: Ints) -> Ints:
+        """(c,) how many pairs of vertices across from each other in stencils (c, 4) are among pairs (b,), by code."""
+        count = np.zeros(len(vertex), dtype=np.int64)
+        for i, j in sides:
             one, two = vertex[:, i], vertex[:, j]
             rows = np.flatnonzero(self._wary[one] & self._wary[two])
-            excluded[rows] |= np.isin(self._pair_code(one[rows], two[rows]), self._excluded)
-        return ~excluded
+            count[rows] += np.isin(self._pair_code(one[rows], two[rows]), pairs)
+        return count
 
     def _pair_code(self, i: Ints, j: Ints) -> Ints:
         found: Ints = np.minimum(i, j).astype(np.int64) * len(self.points) + np.maximum(i, j)

@@ -48,7 +48,8 @@ def with_obstacles(
 def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     """The layers of a sewn shell whose surfaces touch at `offset` (m) from the mid-surface. Vertices nearer along the
     cloth than half the circumference of the tightest fold cannot keep apart, nor can what is sewn together, nor what a
-    sliver parts, nor layers that start nearer than the seams gape: closing those may carry one through the other."""
+    sliver parts, nor layers that start nearer than the seams gape: closing those may carry one through the other. Of
+    what seams join further along them cannot what lies along the seam or starts too near."""
     edges, x, n = shell.topology.edges, shell.points, len(shell.points)
     masters = np.concatenate([shell.first, shell.second])
     share = np.concatenate([1.0 - shell.weight, shell.weight])  # of the slave's position
@@ -59,9 +60,13 @@ def shell_layers(shell: Shell, offset: float, friction: float) -> Layers:
     length = np.concatenate([along, opening[share > 0.0]])
     near = near_along(np.concatenate([edges, sewn]), length, n, np.pi * offset)
     thin = _across_slivers(x, shell.triangles, np.pi * offset)
-    excluded = np.unique(np.concatenate([near, thin, _joined(sewn, n)]), axis=0)
-    layers = Layers(x, shell.triangles, edges, excluded, 2.0 * offset, friction)
-    caught = layers.nearer(seam_gaps(shell).max(initial=0.0))
+    excluded, joined = np.unique(np.concatenate([near, thin]), axis=0), _joined(sewn, n)
+    along_seams = joined[~np.isin(joined @ [n, 1], excluded @ [n, 1])]
+    excluded = np.concatenate([excluded, along_seams])
+    layers = Layers(x, shell.triangles, edges, excluded, 2.0 * offset, friction, seams=along_seams)
+    gape = seam_gaps(shell).max(initial=0.0)
+    layers = replace(layers, barred=layers.joined(max(gape, 2.0 * offset)))
+    caught = layers.nearer(gape)
     return replace(layers, excluded=np.concatenate([excluded, caught]), caught=len(np.unique(caught, axis=0)))
 
 

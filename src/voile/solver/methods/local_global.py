@@ -91,6 +91,8 @@ class LocalGlobal:
         step.finish()
         if not np.isfinite(step.norm):
             return Outcome(False, self.name, "the iteration diverged")
+        if step.through:
+            return Outcome(False, self.name, "a step leads a layer of the shell through another")
         reason = "" if step.norm <= tolerance else f"{most} iterations, norm {step.norm:.3e} N"
         return Outcome(True, self.name, reason, norm=step.norm)
 
@@ -154,6 +156,11 @@ class _Step:
     def norm(self) -> float:
         """Of both together (N)."""
         return float(np.hypot(*self.norms))
+
+    @property
+    def through(self) -> bool:
+        """Whether a layer was led through another where contacts were last linearised."""
+        return bool(self.laws and contact_of(self.problem).itself and self.anchor is not self.x)
 
     def measure(self, y: PETSc.Vec) -> None:
         """Evaluates forces and laws at y."""
