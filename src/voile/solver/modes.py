@@ -23,7 +23,7 @@ from voile.errors import NotConverged
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.solver.linear import Counts, LinearSolver, factored
-from voile.solver.stability import contact_tangent
+from voile.solver.stability import below_spectrum, contact_tangent, factored_beside
 
 NEAR = 64.0  # bending rates from zero to the shift: about the lowest omega^2 of a cantilever plate
 FURTHER = 2  # eigenpairs beside those asked for: between them lies a cut for the inertia
@@ -31,7 +31,6 @@ TOLERANCE = 1e-10  # SLEPc's, on theta's residual; eigenvalues are right to its 
 ROUGH, BELOW = 0.02, 0.9  # tolerance of a first look at the lowest; share of it at which a shift is tried
 ALIKE = 1e-7  # relative: eigenvalues nearer than this are one, whose modes are told apart by fixed fields
 SEARCHES = 6  # for copies that the inertia misses
-LOWERED = 60  # times that a shift is lowered fourfold until nothing lies below it
 NOISE = 100.0  # units of round-off in a Rayleigh quotient: a rigid motion has no more
 SMALL_MOVE = 1e-5  # sizes of the shell over which a support's effect is differenced
 
@@ -56,14 +55,8 @@ def vibrations(
     """The lowest omega^2 (1/s^2) of an equilibrium; exactly zero where it is round-off. rigid (local vertices, 3, k):
     motions, independent, that are known to cost nothing: round-off in them would spoil the others."""
     stiffness, mass = _tangent(problem, y), problem.mass_matrix(rotary=False)
-    shift = -NEAR * bending_rate(problem)
-    for _ in range(LOWERED):
-        solver = _factor(stiffness, mass, shift, counts)
-        if not solver.negative:
-            break
-        solver.destroy()
-        shift *= 4.0
-    else:
+    shift, solver = below_spectrum(stiffness, mass, -NEAR * bending_rate(problem), counts)
+    if solver.negative:
         raise NotConverged("modes: the tangent has eigenvalues that no shift is below")
     pencil = Pencil(problem, stiffness, mass, counts)
     still = [] if rigid is None else [field_vector(problem, motion) for motion in np.moveaxis(rigid, 2, 0)]
@@ -147,13 +140,6 @@ def _rate(problem: Problem, y: PETSc.Vec, solver: LinearSolver) -> tuple[PETSc.V
     return response, (layout.held(t + step) - layout.held(t - step)) / (2.0 * step)
 
 
-def _factor(stiffness: PETSc.Mat, other: PETSc.Mat, shift: float, counts: Counts) -> LinearSolver:
-    """K - shift G, factored; its matrix belongs to the solver."""
-    shifted = stiffness.copy()
-    shifted.axpy(-shift, other, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-    return factored(shifted, counts)
-
-
 class _Inverse:
     """PETSc's view of a factored matrix, so that its solves are counted."""
 
@@ -180,7 +166,7 @@ class Pencil:
         shift = values[0] if len(values) else 0.0
         for _ in range(SEARCHES if shift else 0):
             shift *= BELOW
-            near = _factor(self.stiffness, self.other, shift, self.counts)
+            near = factored_beside(self.stiffness, self.other, shift, self.counts)
             if near.usable and not near.negative:
                 solver.destroy()
                 return shift, near
@@ -203,7 +189,7 @@ class Pencil:
             cut = _cut(values, count)
             if not more or cut is None:
                 break
-            check = _factor(self.stiffness, self.other, cut, self.counts)
+            check = factored_beside(self.stiffness, self.other, cut, self.counts)
             missing = (check.negative or 0) - int((values < cut).sum())
             check.destroy()
             if missing <= 0:

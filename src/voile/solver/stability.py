@@ -10,10 +10,11 @@ from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.state import State
-from voile.solver.linear import Counts, factored, use_cholesky
+from voile.solver.linear import Counts, LinearSolver, factored, use_cholesky
 from voile.solver.methods.method import Workspace
 
 KICKS = 5  # attempts to leave a saddle, each four times further
+LOWERED = 60  # times that a shift is lowered fourfold until nothing lies below it
 NEUTRAL = 1e-6  # slow rates: an eigenvalue nearer to zero is none
 
 
@@ -67,7 +68,9 @@ def smallest_eigenpair(
     eps.setOperators(tangent, mass)
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    eps.setTarget(-_shift_below(tangent, mass, scale, counts))
+    shift, solver = below_spectrum(tangent, mass, -scale, counts)
+    solver.destroy()
+    eps.setTarget(shift)
     eps.setDimensions(1)
     eps.setTolerances(1e-6, 200)
     st = eps.getST()
@@ -89,16 +92,22 @@ def smallest_eigenpair(
     return value, mode
 
 
-def _shift_below(tangent: PETSc.Mat, mass: PETSc.Mat, shift: float, counts: Counts) -> float:
-    """s from `shift` (1/s^2) on, fourfold each time, for which K + s M has no negative eigenvalue."""
-    for _ in range(60):
-        shifted = tangent.copy()
-        shifted.axpy(shift, mass, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        solver = factored(shifted, counts)
-        below = solver.negative
-        solver.destroy()
-        shifted.destroy()
-        if below == 0:
+def below_spectrum(
+    stiffness: PETSc.Mat, mass: PETSc.Mat, shift: float, counts: Counts
+) -> tuple[float, LinearSolver]:
+    """A shift (1/s^2) below all eigenvalues of K v = omega^2 M v, from a negative one on fourfold lower each time, and
+    K - shift M, factored; its `negative` is above 0 where LOWERED times do not get there."""
+    for _ in range(LOWERED):
+        solver = factored_beside(stiffness, mass, shift, counts)
+        if not solver.negative:
             break
+        solver.destroy()
         shift *= 4.0
-    return shift
+    return shift, solver
+
+
+def factored_beside(stiffness: PETSc.Mat, other: PETSc.Mat, shift: float, counts: Counts) -> LinearSolver:
+    """K - shift G, factored; its matrix belongs to the solver."""
+    shifted = stiffness.copy()
+    shifted.axpy(-shift, other, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    return factored(shifted, counts)
