@@ -105,6 +105,18 @@ def test_normals_are_another_model_where_their_limit_is_another(off, kind, findi
         assert told[f"refine={last} shell.bending=average"] == {average: ["shell.bending"]}
 
 
+@pytest.mark.parametrize(("off", "kind"), [(0.0, "discretisation"), (0.01, "model")])
+def test_facets_are_another_shell_where_their_limit_is_another(off, kind, findings):
+    """A curved shell's midpoints converge to its facets; a flat one's are the smooth ones."""
+    text = 'reference = "extrapolate"\n[vary]\nrefine = [0, 1, 2]\n"shell.refine_smooth" = [true, false]\n'
+    found = findings(
+        text,
+        lambda s: 1.0 + 0.2 * 0.25 ** s["refine"] - off * (not s["shell.refine_smooth"]),
+        lambda s: 1.0,
+    )
+    assert found.rows[-1].changes == {kind: ["shell.refine_smooth"]}
+
+
 def test_keys_that_a_scene_makes_nothing_of_neither_change_nor_repeat_a_run(findings):
     """Hinges have no mid-edge normals, Newton's method no local and global iterations."""
     text = """reference = 1.0

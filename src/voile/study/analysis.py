@@ -18,7 +18,18 @@ from voile.study.series import (
     find_series,
     rate_to,
 )
-from voile.study.settings import DISCRETE, ITERATION, MODEL, NORMALS, TIME, Settings, changes, different, told
+from voile.study.settings import (
+    DISCRETE,
+    ITERATION,
+    MODEL,
+    NORMALS,
+    SMOOTH,
+    TIME,
+    Settings,
+    changes,
+    different,
+    told,
+)
 
 # As slow as another run, as far as clocks tell: within this factor, and s that starting a program takes more or less.
 ALIKE, SCATTER = 1.25, 0.25
@@ -101,8 +112,8 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     last = ends(plan.runs, records)
     for k, row in enumerate(rows):
         row.changes = changed(row.run, plan.runs[origin])
-        if row.changes.get(MODEL) == [NORMALS] and _same_limits(plan, records, series, k, origin):
-            row.changes = {DISCRETE: [*row.changes.pop(DISCRETE, []), *row.changes.pop(MODEL)]} | row.changes
+        if not set(row.changes.get(MODEL, [])) - {NORMALS}:
+            _tell_by_limits(row.changes, _same_limits(plan, records, series, k, origin))
         if k != plan.reference and row.record.status == CONVERGED:
             _measure(k, row, rows, references, series, last)
     for k, others in better(plan.runs, records).items():
@@ -168,14 +179,29 @@ def _limit(records: list[Record], series: list[Series], name: str, k: int) -> tu
     return value + sum((s.limit or 0.0) - value for s in limits), [s.along for s in limits]
 
 
-def _same_limits(plan: Plan, records: list[Record], series: list[Series], one: int, other: int) -> bool:
-    """Whether two runs are shown to go to the same values on finer meshes, as far as the study asks."""
-    asked = min(plan.study.study.accuracy)
+def _same_limits(
+    plan: Plan, records: list[Record], series: list[Series], one: int, other: int
+) -> bool | None:
+    """Whether two runs go to the same values on finer meshes, as far as the study asks; None where nothing tells."""
+    asked, same = min(plan.study.study.accuracy), True
     for measure in plan.measures:
         (a, along), (b, _) = (_limit(records, series, measure.name, k) for k in (one, other))
-        if a is None or b is None or not {REFINE, MESH} & set(along) or abs(a - b) > asked * abs(b):
-            return False
-    return True
+        if a is None or b is None or not {REFINE, MESH} & set(along):
+            return None
+        same &= abs(a - b) <= asked * abs(b)
+    return same
+
+
+def _tell_by_limits(changes: dict[str, list[str]], same: bool | None) -> None:
+    """Moves what is a discretisation on some meshes and a model on others to where limits, if any, show it to be."""
+    if same is None:
+        return
+    name, of, to = (NORMALS, MODEL, DISCRETE) if same else (SMOOTH, DISCRETE, MODEL)
+    if name in changes.get(of, []):
+        changes.setdefault(to, []).append(name)
+        changes[of].remove(name)
+        if not changes[of]:
+            del changes[of]
 
 
 def _far(plan: Plan, series: list[Series], name: str, origin: int) -> bool:

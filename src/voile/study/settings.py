@@ -22,7 +22,7 @@ OWN = {RANKS: Integer(1)}
 MODEL, DISCRETE, TIME, ITERATION, COST = "model", "discretisation", "time step", "iteration", "cost only"
 CHANGES = {
     "shell.refine": DISCRETE,
-    "shell.refine_smooth": DISCRETE,
+    "shell.refine_smooth": DISCRETE,  # of facets another shell than of what they stand for
     "shell.mesh": DISCRETE,
     "shell.bending": DISCRETE,  # mid-edge normals of one shell, see `changes`
     "dynamics.time_step": TIME,
@@ -45,7 +45,7 @@ CHANGES = {
     "output": COST,
     RANKS: COST,
 }
-NORMALS = "shell.bending"
+NORMALS, SMOOTH = "shell.bending", "shell.refine_smooth"
 # Keys that only some scenes make anything of, and which.
 TAKEN: dict[str, Callable[[Scene], bool]] = {
     NORMALS: lambda scene: MODELS[scene.shell.model].normals,
