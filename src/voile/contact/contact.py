@@ -8,7 +8,6 @@ Two forms of the natural map serve the solver:
   equations for r.
 """
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +20,6 @@ from voile.contact.directions import lengths, unit
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
-from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer, within
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
@@ -38,12 +36,9 @@ class Contact(NaturalMap):
         """Share of the way from x to `moved` (n, 3) on which no layer passes through another, at most 1."""
         if not self.itself:
             return 1.0
-        began = time.perf_counter()
-        share = self.itself.layers.free_share(
-            self.itself.gather(x), self.itself.gather(moved), self.history.candidates
-        )
-        self.seconds += time.perf_counter() - began
-        return share
+        with self.timed():
+            before, after = self.itself.gather(x), self.itself.gather(moved)
+            return self.itself.layers.free_share(before, after, self.history.candidates)
 
     def inside_between(
         self,
@@ -58,60 +53,65 @@ class Contact(NaturalMap):
         """(n,) marks vertices that are in an obstacle after some of `shares` of the straight way from x (n, 3), at the
         time `began`, to `moved`, at `ended`: deep in one at which the way ends, for there they may slide. size
         (m): the shell's; touching: sizes that no depth is."""
-        start, way = time.perf_counter(), moved - x
+        way = moved - x
         length, inside = lengths(way), np.zeros(len(x), dtype=bool)
-        for k in range(len(self.obstacles)):
-            ends_here = self.gap(k, moved, ended) < CLEAR * size
-            depth = touching * size + SLID * length * ends_here
-            for share in shares:
-                inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
-        self.seconds += time.perf_counter() - start
+        with self.timed():
+            for k in range(len(self.obstacles)):
+                ends_here = self.gap(k, moved, ended) < CLEAR * size
+                depth = touching * size + SLID * length * ends_here
+                for share in shares:
+                    inside |= self.gap(k, x + share * way, began + share * (ended - began)) < -depth
         return inside & self.movable
 
     def crosses(self, x: Reals, began: float, moved: Reals, ended: float) -> Flags:
         """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
         obstacle and ends elsewhere on it: where the normal is another (see contact.crossing)."""
-        start, found = time.perf_counter(), np.zeros(len(x), dtype=bool)
-        for k, obstacle in enumerate(self.obstacles):
-            begin, end = obstacle.way(x, began, moved, ended)
-            length, offset = lengths(end - begin), np.asarray(self.offset)[k]
-            going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
+        found = np.zeros(len(x), dtype=bool)
+        with self.timed():
+            for k in range(len(self.obstacles)):
+                found[self._crossing(k, x, began, moved, ended)] = True
+        return found
 
-            def gap(
-                points: Reals, rows: Ints, obstacle: Obstacle = obstacle, offset: Reals = offset[going]
-            ) -> tuple[Reals, Reals]:
-                here, normal = obstacle.derivatives_on_way(points, began)[:2]
-                return here - offset[rows], unit(normal, np.zeros(3))[1]
+    def _crossing(self, k: int, x: Reals, began: float, moved: Reals, ended: float) -> Ints:
+        """The vertices that cross obstacle k."""
+        obstacle = self.obstacles[k]
+        begin, end = obstacle.way(x, began, moved, ended)
+        length = lengths(end - begin)
+        going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
+        offset = np.asarray(self.offset)[k][going]
 
-            entry = entries(begin[going], end[going], gap, obstacle.finest, self.touch)
-            entered = entry.any(axis=1)
-            normal = obstacle.derivatives_on_way(end[going[entered]], began)[1]
-            turned = np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
-            found[going[entered]] |= turned
-        self.seconds += time.perf_counter() - start
+        def gap(points: Reals, rows: Ints) -> tuple[Reals, Reals]:
+            here, normal = obstacle.derivatives_on_way(points, began)[:2]
+            return here - offset[rows], unit(normal, np.zeros(3))[1]
+
+        entry = entries(begin[going], end[going], gap, obstacle.finest, self.touch)
+        entered = entry.any(axis=1)
+        normal = obstacle.derivatives_on_way(end[going[entered]], began)[1]
+        turned = np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
+        found: Ints = going[entered][turned]
         return found
 
     # ---- as a potential ----
 
     def energy(self, x: Reals, t: float, softness: float = 1.0) -> float:
         """Augmented Lagrangian (J) of the pairs that count on this rank, less its constant."""
-        began, total = time.perf_counter(), 0.0
-        for k, partner in enumerate(self.partners):
-            rho = self.rho(k, softness)
-            wide, rows, gap = self.near(k, x, t, rho, True)
-            s = self.history
-            laws = 0.5 * np.maximum(s.normal[k][rows] - rho * gap, 0.0) ** 2
-            rubs = s.tresca[k][rows] > 0.0
-            if rubs.any():
-                these = rows[rubs]
-                moved = partner.moved(these, s.frozen_weight[k][these], wide, t, s)
-                trial = within(s.frozen_normal[k][these], s.friction[k][these] - rho * moved)
-                size, bound = lengths(trial), s.tresca[k][these]
-                laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-            laws = laws / rho + self.keeps_apart(k, rows, gap, rho)[0]
-            total += float(laws[partner.counted(rows, s)].sum())
-        self.seconds += time.perf_counter() - began
-        return total
+        with self.timed():
+            return sum(self._energy(k, x, t, softness) for k in range(len(self.partners)))
+
+    def _energy(self, k: int, x: Reals, t: float, softness: float) -> float:
+        partner, rho = self.partners[k], self.rho(k, softness)
+        wide, rows, gap = self.near(k, x, t, rho, True)
+        s = self.history
+        laws = 0.5 * np.maximum(s.normal[k][rows] - rho * gap, 0.0) ** 2
+        rubs = s.tresca[k][rows] > 0.0
+        if rubs.any():
+            these = rows[rubs]
+            moved = partner.moved(these, s.frozen_weight[k][these], wide, t, s)
+            trial = within(s.frozen_normal[k][these], s.friction[k][these] - rho * moved)
+            size, bound = lengths(trial), s.tresca[k][these]
+            laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
+        laws = laws / rho + self.keeps_apart(k, rows, gap, rho)[0]
+        return float(laws[partner.counted(rows, s)].sum())
 
     def force(self, x: Reals, t: float, softness: float = 1.0) -> Reals:
         """(n, 3) minus the gradient of `energy` (N)."""

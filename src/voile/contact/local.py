@@ -6,7 +6,6 @@ solved one after the other in levels: first those with obstacles, then layers ou
 so that a shell lands on what it touches.
 """
 
-import time
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -66,9 +65,8 @@ class LocalLaws:
 
     def linearise(self, x: Reals, reach: Reals, anchor: Reals) -> None:
         """Anew at x, with the history's reactions."""
-        began = time.perf_counter()
-        self._linearise(x, reach, anchor)
-        self.contact.seconds += time.perf_counter() - began
+        with self.contact.timed():
+            self._linearise(x, reach, anchor)
 
     def _linearise(self, x: Reals, reach: Reals, anchor: Reals) -> None:
         parts = [
