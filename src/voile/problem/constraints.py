@@ -6,9 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Reals
 from voile.contact.motion import Motion
-from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.held import Supports
 from voile.problem.local_axes import inverse, principal
 from voile.problem.shell import Shell
@@ -40,7 +39,7 @@ class Constraints:
 def build_constraints(shell: Shell, directors: bool) -> Constraints:
     """Constraints of a shell; what a supported vertex is sewn to is supported with it."""
     n, edges = len(shell.points), len(shell.topology.edges)
-    sewing, base = _sewing(shell)
+    sewing, base = shell.sewing()
     joined = sewing.astype(bool).astype(float)
     held_base = (joined.T @ shell.held.reshape(n, 9)).reshape(-1, 3, 3)
     axes, fixed_base = principal(held_base)
@@ -93,14 +92,6 @@ def _blocks(blocks: Reals) -> sp.csr_matrix:
     matrix = sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsr()
     matrix.eliminate_zeros()
     return matrix
-
-
-def _sewing(shell: Shell) -> tuple[sp.csr_matrix, Ints]:
-    """x = P x[base] for the seams; the identity without."""
-    n = len(shell.points)
-    if not len(shell.slave):
-        return sp.identity(n, format="csr"), np.arange(n)
-    return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
 
 
 def _closing(shell: Shell, sewing: sp.csr_matrix, fixed_base: Flags) -> Reals:

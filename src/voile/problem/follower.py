@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from voile.arrays import Ints, Reals, sums
-from voile.mesh.stitches import Stitches, join
+from voile.mesh.stitches import join
 from voile.problem.partition import Part
 from voile.problem.shell import Shell, area_vectors
 
@@ -39,7 +39,7 @@ def pressure_rim(shell: Shell) -> Rim:
     n, corners = len(shell.points), shell.triangles
     label: Ints = np.arange(n)
     if len(shell.slave):
-        label, _ = join(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)
+        label, _ = join(shell.stitches, n)
     start, end = corners[:, [1, 2, 0]].ravel(), corners[:, [2, 0, 1]].ravel()
     ends = np.sort(label[np.column_stack([start, end])].astype(np.int64), axis=1)
     pressure = shell.pressure + (0.0 if shell.patch_pressure is None else shell.patch_pressure)

@@ -14,7 +14,7 @@ from voile import _kernels
 from voile.arrays import Flags, Ints, Reals
 from voile.elastic.weave import warp_components, warp_directions
 from voile.errors import InputError
-from voile.mesh.stitches import Stitches, join, sewing_matrix
+from voile.mesh.stitches import join
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.clamps import held_directors
 from voile.problem.prolongation import Prolongation, start_shape
@@ -250,7 +250,7 @@ class _Seams:
 
     def __init__(self, shell: Shell):
         self.label: Ints = np.arange(len(shell.points))
-        stitches = Stitches(shell.slave, shell.first, shell.second, shell.weight)
+        stitches = shell.stitches
         row: Ints = np.zeros(0, dtype=np.int64)
         if len(stitches):
             self.label, hangs = join(stitches, len(shell.points))
@@ -289,6 +289,6 @@ class _Seams:
 
 def _closing(shell: Shell, closed: Reals) -> Reals:
     """(n, 3) displacement to closed (n, 3) m, with all seams closed exactly."""
-    sewing, base = sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), len(closed))
+    sewing, base = shell.sewing()
     found: Reals = sewing @ closed[base] - shell.points
     return found

@@ -11,7 +11,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.problem.partition import gathered
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
-from voile.problem.support_forces import clamp_ends, seams_of
+from voile.problem.support_forces import clamp_ends
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def section_table(
     if pieces is None or shell is None or forces is None or loads is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    sewing = seams_of(shell)
+    sewing, _ = shell.sewing()
     joined = (sewing == 1.0).T
     table = []
     for section in sections:

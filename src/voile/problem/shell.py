@@ -3,10 +3,11 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from voile.arrays import Flags, Ints, Reals
 from voile.contact.motion import Motion
-from voile.mesh.stitches import Stitches, join
+from voile.mesh.stitches import Stitches, join, sewing_matrix
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.load import Load
 from voile.problem.local_axes import held_along
@@ -81,6 +82,18 @@ class Shell:
         return held_along(self.axes, self.fixed)
 
     @property
+    def stitches(self) -> Stitches:
+        """The seams."""
+        return Stitches(self.slave, self.first, self.second, self.weight)
+
+    def sewing(self) -> tuple[sp.csr_matrix, Ints]:
+        """x = P x[base] for the seams; the identity without."""
+        n = len(self.points)
+        if not len(self.slave):
+            return sp.identity(n, format="csr"), np.arange(n)
+        return sewing_matrix(self.stitches, n)
+
+    @property
     def pressed(self) -> bool:
         """Whether there is any pressure."""
         return self.pressure != 0.0 or self.patch_pressure is not None
@@ -88,7 +101,7 @@ class Shell:
     def __post_init__(self) -> None:
         self.topology = self.topology or build_topology(self.triangles)
         if len(self.slave):
-            label, _ = join(Stitches(self.slave, self.first, self.second, self.weight), len(self.points))
+            label, _ = join(self.stitches, len(self.points))
             if self.seam_bending:
                 self.topology, self.clamped_edges = _through_seams(self, label)
             self.topology = _without_pockets(self, label)

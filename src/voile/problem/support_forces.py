@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Ints, Reals
-from voile.mesh.stitches import Stitches, sewing_matrix
 from voile.problem.local_axes import Hold
 from voile.problem.partition import gathered
 from voile.problem.problem import Problem
@@ -69,7 +67,7 @@ def support_table(
     if pieces is None or shell is None or holds is None or forces is None or x is None:
         return None
     ends, moments = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    joined, loose = seams_of(shell).astype(bool), np.ones(len(ends), dtype=bool)
+    joined, loose = shell.sewing()[0].astype(bool), np.ones(len(ends), dtype=bool)
     selected = np.zeros((len(x), len(holds)), dtype=bool)
     for k, hold in enumerate(holds):
         selected[hold.vertices, k] = True
@@ -102,11 +100,3 @@ def _shares(holds: Sequence[Hold], members: Flags, forces: Reals) -> list[Reals]
         for k, amount, direction in zip(owner, along.T, rows, strict=True):
             shares[k][vertices] += amount[:, None] * direction
     return shares
-
-
-def seams_of(shell: Shell) -> sp.csr_matrix:
-    """(n, base vertices) the shares by which a vertex follows base vertices of its seams; the identity without."""
-    n = len(shell.points)
-    if not len(shell.slave):
-        return sp.identity(n, format="csr")
-    return sewing_matrix(Stitches(shell.slave, shell.first, shell.second, shell.weight), n)[0]
