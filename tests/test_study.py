@@ -394,6 +394,13 @@ def test_other_bad_input(study, tmp_path):
     refused(voile("study", tmp_path / "none.toml"), "none.toml: no such file")
     refused(voile("study", path, "-o", tmp_path / "out", "--jobs", "0"), "--jobs 0")
     refused(voile("study", path, "-o", tmp_path / "out", "--run", "4"), "--run 4", "1 to 3")
+    for launcher, words in (
+        ("no-such-mpirun -n {ranks}", "is not on the PATH"),
+        ("srun '", "No closing quot"),
+    ):
+        path = study(FRONT.replace("repeats = 1", f'repeats = 1\nlauncher = "{launcher}"'))
+        refused(voile("study", path, "-o", tmp_path / "out"), "study.launcher", words)
+    path = study(FRONT)
     (tmp_path / "file").write_text("")
     refused(voile("study", path, "-o", tmp_path / "file"), "cannot be written: Not a directory")
     (tmp_path / "scene.toml").unlink()

@@ -231,7 +231,13 @@ def command(plan: Plan, run: Run, folder: Path) -> list[str]:
 def launcher(given: str, ranks: int) -> list[str]:
     """What starts so many MPI processes; nothing for one, unless a study gives its own. Raises InputError without."""
     if given:
-        return shlex.split(given.replace("{ranks}", str(ranks)))
+        try:
+            words = shlex.split(given.replace("{ranks}", str(ranks)))
+        except ValueError as error:
+            raise InputError(f"study.launcher: {given}: {error}") from None
+        if words and shutil.which(words[0]) is None:
+            raise InputError(f"study.launcher: {words[0]} is not on the PATH; allowed: a program that is")
+        return words
     if ranks == 1:
         return []
     program = shutil.which("mpirun")
