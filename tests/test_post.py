@@ -70,6 +70,13 @@ def test_strain_of_a_homogeneous_deformation():
     assert np.abs(largest_strain(flat @ turn.T + 1, triangles, flat, triangles)).max() < 1e-13
 
 
+def test_a_shape_moved_as_it_is_has_no_strain_at_all():
+    """Its picture had the colours of round-off, on a bar up to 3e-16."""
+    flat, triangles = strip(seed=3)
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    assert not largest_strain(flat @ turn.T + 0.3, triangles, flat, triangles).any()
+
+
 def test_strain_against_a_rest_shape_with_its_own_vertices():
     flat, triangles = strip()
     corners = np.arange(3 * len(triangles)).reshape(-1, 3)

@@ -28,6 +28,8 @@ DERIVED = {
     "mean_curvature": ("1/m", "mean curvature"),
 }
 
+ROUND_OFF = 1e-13  # of a strain: some hundred times that of 1
+
 
 def quantity(result: Result, name: str, step: int = -1) -> Quantity:
     """A field of the result or a derived one (DERIVED) of a step; what is stored comes first.
@@ -78,7 +80,7 @@ def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: 
     """(m,) larger principal Green strain (F^T F - I)/2, F from the flat rest triangle to the one in space.
 
     points (n, 3), triangles (m, 3), rest (nr, 3), rest_triangles (m, 3). A rest triangle without area has
-    none: NaN.
+    none: NaN. What round-off leaves, under 1e-13, is 0: pictures of a start would show nothing but that.
     """
     corners, home = points[triangles], rest[rest_triangles]
     d1, d2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -93,7 +95,7 @@ def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: 
         f2 = (d2 - shear[:, None] * f1) / height[:, None]
     c11, c12, c22 = (f1 * f1).sum(1), (f1 * f2).sum(1), (f2 * f2).sum(1)
     found: Reals = ((c11 + c22) / 2 + np.hypot((c11 - c22) / 2, c12) - 1) / 2
-    return found
+    return np.where(np.abs(found) < ROUND_OFF, 0.0, found)
 
 
 def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
