@@ -28,7 +28,7 @@ import numpy as np
 import voile.results
 from voile.afterwards import Stresses, scene_of
 from voile.arrays import Array, Reals
-from voile.elastic.stresses import FIELDS
+from voile.elastic.stresses import FIELDS, lacking
 from voile.errors import InputError, NotConverged, on_root
 from voile.results import held_output, open_result, read_summary, result_file
 from voile.results.history import read_history
@@ -98,8 +98,13 @@ class Result(voile.results.Result):
     def known_fields(self) -> tuple[str, ...]:
         """All names that `field` takes, those that it computes too."""
         from voile.post.quantities import known
+        from voile.post.recovery import TENSORS
 
-        return tuple(known(self))
+        scene = self.scene or scene_of(self)
+        searched = scene.scene.task == "inverse"
+        lacks = FIELDS if searched else lacking(scene.shell.model, scene.shell.material)
+        missing = {name for what in lacks for name in FIELDS[what]}.difference(self.cell_fields)
+        return tuple(name for name in known(self) if missing.isdisjoint([name, *TENSORS.get(name, ())]))
 
     @cached_property
     def _stresses(self) -> Stresses:
