@@ -10,12 +10,13 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 from test_problem import make_shell, sewn_panels, sheet
 
+from voile.arrays import triangle_areas
 from voile.mesh import Stitches, boundary_loops, read_mesh, read_rest, sewing_matrix
 from voile.mesh.checks import flat_triangles
 from voile.mesh.topology import build_topology, inside_out
 from voile.problem.levels import Prolongation, coarsen
 from voile.problem.problem import Problem
-from voile.problem.shell import Shell, triangle_areas
+from voile.problem.shell import Shell
 
 
 def angles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

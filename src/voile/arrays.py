@@ -34,3 +34,21 @@ def units(vectors: Reals) -> Reals:
 def diagonal(points: Reals) -> float:
     """That of the bounding box of points (n, 3)."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def area_vectors(points: Reals, triangles: Ints) -> Reals:
+    """(m, 3) normals of triangles (m, 3) of points (n, 3), twice as long as their areas."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    found: Reals = np.cross(b - a, c - a)
+    return found
+
+
+def triangle_areas(points: Reals, triangles: Ints) -> Reals:
+    """(m,) areas of triangles (m, 3) of points (n, 3)."""
+    found: Reals = 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
+    return found
+
+
+def triangle_sides(triangles: Ints) -> Ints:
+    """(3m, 2) ascending vertices of the sides of triangles (m, 3), one triangle's after the other's."""
+    return np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)

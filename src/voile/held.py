@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, triangle_areas
 from voile.contact.motion import Motion
 from voile.errors import InputError
 from voile.keys import Vector3
@@ -12,7 +12,6 @@ from voile.mesh import Surface, select
 from voile.mesh.topology import Topology
 from voile.problem.local_axes import Hold, frame_axes
 from voile.problem.sections import Section
-from voile.problem.shell import triangle_areas
 from voile.scene import Scene
 from voile.scene.motion import motion_of
 from voile.scene.moves import Move

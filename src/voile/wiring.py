@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals, diagonal
+from voile.arrays import Flags, Ints, Reals, diagonal, triangle_areas
 from voile.contact.frames import Frames
 from voile.contact.motion import Motion
 from voile.contact.obstacles import SHAPES, MeshBody, Obstacle
@@ -34,7 +34,7 @@ from voile.problem.load import History, Load
 from voile.problem.loads import LOADS
 from voile.problem.local_axes import Hold, combined
 from voile.problem.sections import Section
-from voile.problem.shell import Shell, seam_gaps, triangle_areas
+from voile.problem.shell import Shell, seam_gaps
 from voile.problem.supports import check_supports, free_motions, holds_a_piece
 from voile.results import Body, StaticMesh
 from voile.scene import Scene

@@ -8,6 +8,7 @@ import pytest
 from inverse_shells import folded_skirt, hanging_sheet, panels, shell, strip
 from mpi4py import MPI
 
+from voile.arrays import triangle_areas
 from voile.contact.obstacles import Cylinder, Motion, Plane
 from voile.errors import NotConverged
 from voile.inverse.direct import Direct
@@ -15,7 +16,6 @@ from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
-from voile.problem.shell import triangle_areas
 from voile.problem.supports import hinged_parts, without_flaps
 from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics

@@ -7,6 +7,7 @@ import pytest
 from commands import run
 from kernel_shell import irregular_mesh
 
+from voile.arrays import area_vectors
 from voile.cli import main
 from voile.elastic import evaluate
 from voile.elastic.weave import Woven, isotropic, warp_directions, weave_rows
@@ -14,7 +15,6 @@ from voile.errors import InputError
 from voile.mesh import build_topology, read_mesh, texture_direction
 from voile.mesh.surface import read_rest
 from voile.problem.levels import coarsen
-from voile.problem.shell import area_vectors
 from voile.results import read_result, read_summary
 from voile.scene.library import MEASURED, fabric
 from voile.scene.reader import read_scene

@@ -11,7 +11,7 @@ from typing import Any
 import ipctk
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals, diagonal
+from voile.arrays import Flags, Ints, Reals, diagonal, triangle_sides
 from voile.contact.closest import Closest, closest_of_edges, closest_to_triangle, edge_distance
 from voile.contact.directions import lengths
 from voile.errors import InputError
@@ -171,7 +171,7 @@ class Layers:
     def _crossing(self, x: Reals) -> Ints:
         """Vertices of edges that pass through a triangle, away from what is excluded."""
         apart = self.triangles[~np.isin(self.triangles, self.excluded).any(axis=1)]
-        sides = np.unique(np.sort(apart[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+        sides = np.unique(triangle_sides(apart), axis=0)
         boxes = ipctk.LBVH()
         boxes.build(x, sides, apart, 0.0)
         found = [(c.edge_id, c.face_id) for c in boxes.detect_edge_face_candidates()]

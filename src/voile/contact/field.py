@@ -12,7 +12,7 @@ import igl
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 
-from voile.arrays import Flags, Ints, Reals, diagonal
+from voile.arrays import Flags, Ints, Reals, area_vectors, diagonal, units
 from voile.contact.directions import TINY, unit
 from voile.contact.pairs import outer
 from voile.errors import InputError
@@ -212,7 +212,7 @@ def check_inside(points: Reals, triangles: Ints, source: str) -> None:
     """Refuses meshes without inside, and closed pieces turned inside out even where the whole is not."""
     pieces, piece = igl.facet_components(triangles)
     corner = points[triangles]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = area_vectors(points, triangles)
     height = corner.mean(axis=1) - corner.mean(axis=(0, 1))
     volume = np.bincount(piece, np.einsum("ti,ti->t", height, normal) / 6.0)
     area = np.linalg.norm(normal, axis=1).sum() / 2.0
@@ -228,7 +228,7 @@ def check_inside(points: Reals, triangles: Ints, source: str) -> None:
 def _outer(points: Reals, triangles: Ints) -> Ints:
     """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
     corner = points[triangles]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = area_vectors(points, triangles)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     lifted = corner + 1e-4 * diagonal(points) * (normal / np.maximum(length, 1e-300))[:, None]
     middle = lifted.mean(axis=1, keepdims=True)
@@ -242,7 +242,7 @@ def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[floa
     """How thin (m) the body is behind a small part of its skin and behind half of it, inf where that is more than
     `most` (m): how far inwards from places on it outside is, to a tenth."""
     corner = points[skin]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = area_vectors(points, skin)
     twice = np.linalg.norm(normal, axis=1)
     rng = np.random.default_rng(0)
     row = rng.choice(len(skin), SAMPLES, p=twice / twice.sum())
@@ -294,8 +294,7 @@ def _measure(body: DistanceField, skin: Ints) -> float:
     """Largest error of the gap outside (m): at the middles of the surface's triangles and edges and its vertices, on
     the surface and one and two spacings off."""
     corner = body.points[skin]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    normal = units(area_vectors(body.points, skin))
     middle = corner.mean(axis=1, keepdims=True)
     sites = np.concatenate([middle, 0.5 * (corner + np.roll(corner, 1, axis=1))], axis=1)
     raised = [sites + k * body.spacing * normal[:, None] for k in range(3)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, triangle_areas
 from voile.contact.directions import normalised, perpendicular
 
 AROUND = 96  # points around an axis; half as many on a meridian of a sphere
@@ -42,6 +42,5 @@ def revolve(origin: Reals, axis: Reals, radius: Reals, height: Reals) -> Triangl
     halves = [(lower[0], lower[1], upper[1]), (lower[0], upper[1], upper[0])]
     triangles = np.concatenate([np.stack(half, axis=-1).reshape(-1, 3) for half in halves])
     points = points.reshape(-1, 3)
-    corner = points[triangles]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = triangle_areas(points, triangles)
     return points, triangles[area > 1e-9 * area.max()]  # at the poles half of the triangles have none

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import splu
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, triangle_areas, triangle_sides
 from voile.elastic.evaluate import evaluate
 
 DIRECTIONS = 6  # of 180 degrees
@@ -54,8 +54,7 @@ def bending_of(
     assert flat.hessian is not None
     upright = 3 * np.arange(len(x)) + 2
     bends = flat.hessian[upright][:, upright].tocsc()
-    corner = x[triangles]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = triangle_areas(x, triangles)
     stiffness = area * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
     whole, side = stiffness.sum(), stiffness @ poisson
     plate = np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, 2.0 * (whole - side)]])
@@ -68,8 +67,7 @@ def bending_of(
 
 def _inside(triangles: Ints, count: int) -> Flags:
     """(n,) marks the vertices that no edge joins to the border."""
-    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges, times = np.unique(sides, axis=0, return_counts=True)
+    edges, times = np.unique(triangle_sides(triangles), axis=0, return_counts=True)
     border = np.zeros(count, dtype=bool)
     border[edges[times == 1]] = True
     near = border.copy()

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, area_vectors
 from voile.errors import NotConverged
 from voile.inverse.flatten import FlatPanels, flatten, overlaps
 from voile.inverse.target import Target
@@ -93,7 +93,7 @@ class DevelopableRest:
         part = self.problem.part
         x = part.rest_points[part.rest_corners]
         angle, gradient = np.empty(x.shape[:2]), np.zeros((len(x), 3, 3, 3))
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        normal = area_vectors(part.rest_points, part.rest_corners)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         for k in range(3):
             one, two = x[:, (k + 1) % 3] - x[:, k], x[:, (k + 2) % 3] - x[:, k]

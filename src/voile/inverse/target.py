@@ -8,7 +8,7 @@ import scipy.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.arrays import Array, Flags, Ints, Reals
+from voile.arrays import Array, Flags, Ints, Reals, area_vectors
 from voile.contact.candidates import Layers
 from voile.contact.contact import Contact
 from voile.contact.obstacles import Obstacle
@@ -21,7 +21,7 @@ from voile.problem.contact import cone_fields, contact_of, with_obstacles
 from voile.problem.problem import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
-from voile.problem.shell import Shell, area_vectors
+from voile.problem.shell import Shell
 from voile.problem.supports import free_motions, hinged_parts
 from voile.solver.stability import smallest_eigenpair
 

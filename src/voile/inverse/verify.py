@@ -7,11 +7,10 @@ from typing import Literal
 import numpy as np
 from petsc4py import PETSc
 
-from voile.arrays import Reals
+from voile.arrays import Reals, triangle_areas
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
-from voile.problem.shell import area_vectors
 from voile.solver.path import Path, StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -149,7 +148,7 @@ def _from_folds(target: Target) -> Reals:
     pairs, opening = target.folds()
     closed = opening < CLOSED
     at, x = corners[pairs[closed]].reshape(-1, 6), target.x
-    area = 0.5 * np.linalg.norm(area_vectors(x, corners[pairs[closed]].reshape(-1, 3)), axis=1)
+    area = triangle_areas(x, corners[pairs[closed]].reshape(-1, 3))
     width = np.sqrt(area.reshape(-1, 2).min(axis=1, initial=np.inf))
     comm = target.problem.comm
     points = np.concatenate(comm.allgather(x[at].reshape(-1, 3)))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from voile.arrays import Flags, Ints
+from voile.arrays import Flags, Ints, triangle_sides
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
@@ -60,8 +60,7 @@ def size_of(mesh: RawMesh) -> float:
 
 def half_edges(triangles: Ints) -> tuple[Ints, Ints]:
     """Edges (e, 2), smaller vertex first, and the one (3m,) of each half edge from corner i to i + 1."""
-    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges, of = np.unique(sides, axis=0, return_inverse=True)
+    edges, of = np.unique(triangle_sides(triangles), axis=0, return_inverse=True)
     return edges, of.ravel()
 
 

@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, triangle_areas
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
@@ -152,7 +152,7 @@ def _groups(
     triangles that stay. What reaches over the plane from the other half goes to its partner, or where it is a piece of
     its own goes."""
     corners = raw.points[raw.triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = triangle_areas(raw.points, raw.triangles)
     middle, count = corners.mean(axis=1), len(raw.group_names)
     here = side * (middle[:, axis] - place) > 0
     share = np.bincount(raw.group, area * here, count) / np.maximum(

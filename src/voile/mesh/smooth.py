@@ -9,7 +9,7 @@ straight, sharp edges and corners sharp.
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from voile.arrays import Flags, Ints, Reals, row_sums, units
+from voile.arrays import Flags, Ints, Reals, area_vectors, row_sums, units
 from voile.mesh.topology import build_topology
 
 SHARP = 0.5  # cosine: turns of 60 degrees and more, from a triangle or border edge to the next, are edges and corners
@@ -20,8 +20,7 @@ def smooth_middles(points: Reals, triangles: Ints) -> Reals:
     """(e, 3) in the order of the topology's edges."""
     topology = build_topology(triangles)
     a, b = points[topology.edges[:, 0]], points[topology.edges[:, 1]]
-    corners = points[triangles]
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = area_vectors(points, triangles)
     sharp = _sharp(units(facing), topology.across, triangles, len(points))
     normals = _normals(points, triangles, facing, topology.edges, sharp)
     lean = np.einsum("eki,ei->ek", normals[topology.edges], b - a)

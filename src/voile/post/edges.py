@@ -2,15 +2,14 @@
 
 import numpy as np
 
-from voile.arrays import Ints
+from voile.arrays import Ints, triangle_sides
 
 
 def edges(triangles: Ints) -> tuple[Ints, Ints]:
     """(e, 2) ascending vertex pairs of the edges, and (e,) how many triangles each has."""
     tri = np.asarray(triangles, dtype=np.int64)
-    pairs = tri[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     n = int(tri.max(initial=0)) + 1
-    keys, count = np.unique(pairs.min(axis=1) * n + pairs.max(axis=1), return_counts=True)
+    keys, count = np.unique(triangle_sides(tri) @ [n, 1], return_counts=True)
     return np.column_stack(np.divmod(keys, n)), count
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, area_vectors
 from voile.errors import InputError
 from voile.files import replace
 from voile.post.contact import surfaces
@@ -190,8 +190,7 @@ def _glb(document: dict[str, Any], body: bytes) -> bytes:
 
 def _vertex_normals(points: Reals, triangles: Ints) -> Reals:
     """(n, 3) unit normals, weighted by area; (0, 0, 1) where a vertex has none."""
-    corners = points[triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = area_vectors(points, triangles)
     normals = np.zeros_like(points)
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], area)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Array, Ints, Reals, row_sums
+from voile.arrays import Array, Ints, Reals, area_vectors, row_sums, triangle_areas
 from voile.post.edges import boundary_edges, hinges
 from voile.post.recovery import TENSORS, described, recovered
 from voile.results import Result
@@ -100,8 +100,7 @@ def largest_strain(points: Reals, triangles: Ints, rest: Reals, rest_triangles: 
 
 def hinge_angles(points: Reals, triangles: Ints, hinge: Ints) -> Reals:
     """(k,) signed angle between the normals of each hinge, rad; positive where the surface bulges out."""
-    corners = points[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_vectors(points, triangles)
     left, right = normal[hinge[:, 2]], normal[hinge[:, 3]]
     axis = points[hinge[:, 1]] - points[hinge[:, 0]]
     length = np.linalg.norm(axis, axis=1)
@@ -125,8 +124,7 @@ def vertex_curvature(points: Reals, triangles: Ints) -> tuple[Reals, Reals]:
     length = np.linalg.norm(edge, axis=1)
     rows, columns = np.triu_indices(3)
     tensor = (angle / np.where(length > 0, length, 1))[:, None] * edge[:, rows] * edge[:, columns]
-    corners = points[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = triangle_areas(points, triangles)
     own = row_sums(hinge[:, :2].ravel(), np.repeat(tensor / 2, 2, axis=0), n)
     own_area = row_sums(triangles.ravel(), np.repeat(area / 3, 3)[:, None], n)
     weight = np.ones((n, 1))

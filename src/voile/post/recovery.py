@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voile.arrays import Ints, Reals, row_sums, units
+from voile.arrays import Ints, Reals, area_vectors, row_sums, units
 from voile.post.edges import edges
 from voile.results import CELL_FIELDS, Result
 
@@ -43,7 +43,7 @@ class Patches:
     def of(cls, points: Reals, triangles: Ints) -> "Patches":
         """Those of points (n, 3) m and triangles (m, 3)."""
         corners, n = points[triangles], len(points)
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        across = area_vectors(points, triangles)
         vertex = triangles.ravel()
         normals = units(row_sums(vertex, np.repeat(across, 3, axis=0), n))
         turn = _rotations(np.repeat(units(across), 3, axis=0), normals[vertex])

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from voile.arrays import Flags, Ints, Reals, units
+from voile.arrays import Flags, Ints, Reals, area_vectors, units
 from voile.elastic import model_of
 from voile.errors import InputError
 from voile.problem.local_axes import principal
-from voile.problem.shell import Shell, area_vectors
+from voile.problem.shell import Shell
 
 LEVEL = 1e-6  # sine of an angle between normals that are one
 IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shape does

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.arrays import Array, Flags, Ints, Reals, sums
+from voile.arrays import Array, Flags, Ints, Reals, sums, triangle_areas
 from voile.contact.candidates import Layers, near_along
 from voile.contact.contact import FREE, SLIP, STICK, Contact
 from voile.contact.interfaces import SelfContact
@@ -17,7 +17,7 @@ from voile.contact.obstacles import Obstacle
 from voile.contact.pairs import margin
 from voile.problem.augmented import ImpenetrableLayers
 from voile.problem.problem import Problem
-from voile.problem.shell import Shell, seam_gaps, triangle_areas
+from voile.problem.shell import Shell, seam_gaps
 
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
 TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle

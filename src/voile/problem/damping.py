@@ -8,11 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Reals, area_vectors
 from voile.problem.inertia import Inertia
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
-from voile.problem.shell import area_vectors
 from voile.problem.terms import Point, Term
 
 

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from voile.arrays import Ints, Reals, sums
+from voile.arrays import Ints, Reals, area_vectors, sums
 from voile.mesh.stitches import join
 from voile.problem.partition import Part
-from voile.problem.shell import Shell, area_vectors
+from voile.problem.shell import Shell
 
 
 class Rim(NamedTuple):

@@ -3,10 +3,9 @@
 import numpy as np
 from petsc4py import PETSc
 
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, area_vectors
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.problem.shell import area_vectors
 
 WAVES = 12
 SHORTEST = 0.1  # sizes of the shell

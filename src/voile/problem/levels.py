@@ -11,14 +11,14 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from voile import _kernels
-from voile.arrays import Flags, Ints, Reals
+from voile.arrays import Flags, Ints, Reals, triangle_areas
 from voile.elastic.weave import warp_components, warp_directions
 from voile.errors import InputError
 from voile.mesh.stitches import join
 from voile.mesh.topology import Topology, build_topology
 from voile.problem.clamps import held_directors
 from voile.problem.prolongation import Prolongation, start_shape
-from voile.problem.shell import Shell, triangle_areas
+from voile.problem.shell import Shell
 
 BORDER, CUT, CLAMP, FABRIC, SUPPORT = 1, 2, 4, 8, 16  # kinds of feature lines, as in coarsen.hpp
 APART = 0.5  # no support stretches the surface by more; two that move apart do

@@ -13,12 +13,12 @@ import numpy as np
 import scipy.sparse as sp
 from mpi4py import MPI
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, triangle_areas
 from voile.contact.motion import Motion
 from voile.problem.clamps import clamp_laws, held_directors
 from voile.problem.constraints import Constraints, build_constraints
 from voile.problem.held import Supports
-from voile.problem.shell import Shell, hilbert_order, triangle_areas
+from voile.problem.shell import Shell, hilbert_order
 
 
 @dataclass

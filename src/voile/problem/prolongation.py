@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, triangle_areas
 from voile.mesh.topology import build_topology, inside_out
 from voile.problem.shell import Shell
 
@@ -125,9 +125,7 @@ def bending_form(shell: Shell) -> sp.csr_matrix:
     2006, "A quadratic bending model for inextensible surfaces"), with a little tension; linear fields have no energy.
     """
     corners = shell.rest_points[shell.rest_triangles]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = triangle_areas(shell.rest_points, shell.rest_triangles)
     one, two = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     cotangent = np.einsum("tkd,tkd->tk", one, two) / (2.0 * area)[:, None]
     n, half = len(shell.points), np.arange(3 * len(area))

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from voile.arrays import Flags, Reals
+from voile.arrays import Flags, Reals, area_vectors
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
 from voile.problem.problem import Problem
@@ -26,7 +26,7 @@ def field_vector(problem: Problem, field: Reals) -> PETSc.Vec:
 def rest_areas(part: Part) -> tuple[Reals, Reals]:
     """(m,) areas of the rest triangles and (m, 3, 3) their gradients by the corners."""
     x = part.rest_points[part.rest_corners]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normal = area_vectors(part.rest_points, part.rest_corners)
     size = np.linalg.norm(normal, axis=1)
     unit = normal / np.maximum(size, 1e-300)[:, None]
     opposite = x[:, [2, 0, 1]] - x[:, [1, 2, 0]]
@@ -240,8 +240,8 @@ class PanelRest:
         self.problem.set_rest(points, flat=True)
 
     def _signed(self) -> Reals:
-        x = self.problem.part.rest_points[self.problem.part.rest_corners]
-        return 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])[:, 2]
+        part = self.problem.part
+        return 0.5 * area_vectors(part.rest_points, part.rest_corners)[:, 2]
 
     def ratios(self) -> tuple[Reals, Reals]:
         """Areas (m,), negative where turned over, and edges (m, 3) of rest triangles over those of the base."""

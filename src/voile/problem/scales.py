@@ -4,8 +4,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from voile.arrays import triangle_areas
 from voile.problem.problem import Problem
-from voile.problem.shell import triangle_areas
 
 
 def slow_rate(problem: Problem) -> float:

@@ -162,19 +162,6 @@ def _through_seams(shell: Shell, label: Ints) -> tuple[Topology, Ints]:
     return merged, np.unique(number[shell.clamped_edges]).astype(np.int32)
 
 
-def triangle_areas(points: Reals, triangles: Ints) -> Reals:
-    """(m,) areas of triangles (m, 3) of points (n, 3)."""
-    found: Reals = 0.5 * np.linalg.norm(area_vectors(points, triangles), axis=1)
-    return found
-
-
-def area_vectors(points: Reals, triangles: Ints) -> Reals:
-    """(m, 3) normals of triangles (m, 3) of points (n, 3), twice as long as their areas."""
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    found: Reals = np.cross(b - a, c - a)
-    return found
-
-
 def hilbert_order(points: Reals, bits: int = 16) -> Ints:
     """Order of points (n, 3) along a Hilbert curve (Skilling 2004, "Programming the Hilbert curve")."""
     low, high = points.min(axis=0), points.max(axis=0)

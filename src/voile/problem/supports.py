@@ -6,9 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, triangle_areas, triangle_sides
 from voile.errors import InputError
-from voile.problem.shell import Shell, triangle_areas
+from voile.problem.shell import Shell
 
 AXES = "xyz"
 
@@ -65,8 +65,7 @@ def hinged_parts(shell: Shell) -> list[tuple[Ints, Ints]]:
     """Parts of the shell without supports that hang on the rest by one vertex or two alone, about which they turn
     freely: those and all the part's."""
     t, n = shell.triangles, len(shell.points)
-    sides = np.sort(t[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edge = np.unique(sides, axis=0, return_inverse=True)[1].ravel()
+    edge = np.unique(triangle_sides(t), axis=0, return_inverse=True)[1].ravel()
     across = sp.csr_matrix((np.ones(len(edge)), (np.repeat(np.arange(len(t)), 3), edge)))
     count, part = connected_components(across @ across.T, directed=False)
     member = sp.csr_matrix((np.ones(t.size), (np.repeat(part, 3), t.ravel())), shape=(count, n)).astype(bool)

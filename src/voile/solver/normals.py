@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from voile.arrays import Reals, row_sums, sums, units
+from voile.arrays import Reals, area_vectors, row_sums, sums, units
 from voile.problem.problem import Problem
-from voile.problem.shell import area_vectors
 
 
 def normals(problem: Problem, x: Reals, stiffness: Reals) -> tuple[Reals, Reals]:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from petsc4py import PETSc
 
-from voile.arrays import Reals
+from voile.arrays import Reals, triangle_areas
 from voile.contact.directions import lengths
 from voile.contact.natural_map import STUCK
 from voile.contact.pairs import outer, times
@@ -19,7 +19,6 @@ from voile.problem.contact import contact_of
 from voile.problem.matrix import Blocks
 from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
-from voile.problem.shell import triangle_areas
 from voile.solver.methods.method import Workspace
 from voile.solver.methods.steps import descent_direction
 

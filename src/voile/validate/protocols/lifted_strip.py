@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Reals, triangle_areas
 from voile.validate.bench import Bench
 from voile.validate.protocol import Curve, Findings, Plot, close, small
 from voile.validate.shapes import CLAMP, fabric, nodes, rigidity, sheet
@@ -30,10 +30,7 @@ def lift(bench: Bench, height: float, cells: int) -> tuple[float, float, float, 
     }
     result = bench.run(f"lift-{height:g}-{cells}", scene).result
     reaction, touching = result.field("reaction")[:, 2], result.field("contact") > 0
-    corners = mesh.points[mesh.triangles]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = triangle_areas(mesh.points, mesh.triangles)
     own = WEIGHT * np.bincount(mesh.triangles.ravel(), np.repeat(area / 3.0, 3))
     beyond = (reaction - own)[touching]
     edge = beyond @ mesh.points[touching, 0] / beyond.sum()
