@@ -13,7 +13,7 @@ from voile.study.analysis import analyse
 from voile.study.execute import Record, Runs
 from voile.study.measures import figure, mean_weights
 from voile.study.plan import read_plan
-from voile.study.series import extrapolate
+from voile.study.series import extrapolate, rate_to
 
 
 @pytest.mark.parametrize("rate", [0.7, 1.0, 2.0, 3.5])
@@ -29,6 +29,15 @@ def test_what_has_no_limit():
     assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 1.5)) == (None, None)  # to and fro
     assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 4.0)) == (None, None)  # away
     assert extrapolate((1.0, 0.5, 0.25), (1.0, 2.0, 2.0)) == (2.0, None)  # settled
+
+
+def test_differences_that_residuals_leave_have_no_rate():
+    """A sheet that stops has rubbed all of its energy away, whatever the time step."""
+    values = (0.08999999999357754, 0.08999999999950829, 0.08999999999977319, 0.08999999999998588)
+    assert extrapolate((8.0, 4.0, 2.0, 1.0), values) == (values[-1], None)
+    to_and_fro = (0.08999999999098049, 0.08999999998221647, 0.08999999998998765)
+    assert extrapolate((4.0, 2.0, 1.0), to_and_fro) == (to_and_fro[-1], None)
+    assert rate_to(0.09, (2.0, 1.0), values[-2:]) is None
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ RATES = (
     0.1,
     8.0,
 )  # that are looked for; differences that fit none have not come to their limit's neighbourhood
-NEAR = 1e-12  # of the value: differences that are round-off
+NEAR = 1e-9  # of the value: differences within what residuals leave of it, as in the table
 
 
 @dataclass(frozen=True)
