@@ -10,6 +10,7 @@ from test_problem import sheet
 from voile.contact.crossing import entries
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
+from voile.problem.damping import Air, Damping
 from voile.solver.path_in_time import TimeOptions
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
 from voile.solver.stepping.time_path import Stepper
@@ -122,6 +123,27 @@ def test_a_run_at_rest_goes_on_with_no_step():
     count, run.path.converged = run.path.count, False
     Stepper(run.problem, options, run.solver, run.path).follow()
     assert run.path.count == count and run.path.converged and run.path.reason.startswith("at rest")
+
+
+@pytest.mark.parametrize("pushed", ["pressure", "wind"])
+def test_a_sail_comes_to_rest_without_weight(pushed):
+    """Its time is that in which pressure or air move it. With weight alone it had minutes, and the run went on."""
+    points, triangles = sheet(4, 4, 0.4, 0.4)
+    rim = (np.abs(points[:, :2] - 0.2).max(axis=1) > 0.2 - 1e-9)[:, None]
+    air = Air(np.array([0.0, 0.0, 5.0]), 0.6) if pushed == "wind" else None
+    loads = {"gravity": np.zeros(3), "pressure": 0.0 if air else 15.0}
+    shell = cloth(points, triangles, fixed=np.repeat(rim, 3, axis=1), **loads)
+    run = move(
+        shell,
+        "implicit-euler",
+        1e-2,
+        3.0,
+        stop_at_rest=1e-5,
+        air=air,
+        damping=Damping(mass=20.0),
+        tolerance=1e-6,
+    )
+    assert run.path.reason.startswith("at rest") and 0.1 < run.times[-1] < 1.5 and run.end[:, 2].max() > 0.01
 
 
 def test_what_falls_from_rest_is_not_at_rest():

@@ -16,6 +16,7 @@ from voile.problem.contact import contact_of, contact_report, pushed_vertices
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, mean_mass, slow_rate
+from voile.problem.shell import area_vectors
 from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
@@ -156,10 +157,22 @@ class Stepper:
         if not speed < limit or path.time < self.changes:
             return False
         acceleration = problem.in_sizes(self.kinematics.acceleration[problem.own]) * problem.size()
-        if not acceleration < limit * float(np.sqrt(slow_rate(problem))):
+        if not acceleration < limit * float(np.sqrt(self._pushed() / problem.size())):
             return False
         path.converged, path.reason = True, f"at rest at time {path.time:g} s"
         return True
+
+    def _pushed(self) -> float:
+        """Acceleration by loads and air (m/s^2)."""
+        problem, air, part = self.problem, self.asked.air, self.problem.part
+        mass = problem.vertex_mass()[problem.own]
+        area = (
+            0.5 * np.linalg.norm(area_vectors(self.kinematics.positions, part.corners), axis=1) @ part.weight
+        )
+        whole = problem.comm.allreduce(np.array([area, mass.sum()]))
+        blown = air.drag * float(air.velocity @ air.velocity) * whole[0] / whole[1] if air else 0.0
+        loads = problem.load_norm(self.y) / problem.norm(np.repeat(mass, 3))
+        return float(max(slow_rate(problem) * problem.size(), loads, blown))
 
     def _speed(self) -> float:
         """Of the fastest vertex (m/s)."""
