@@ -11,12 +11,11 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile.arrays import Flags, Reals
+from voile.arrays import Flags, Reals, triangle_areas
 from voile.problem.contact import contact_of, contact_report, pushed_vertices
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import force_floor, mean_mass, slow_rate
-from voile.problem.shell import area_vectors
 from voile.problem.support_forces import driven
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
