@@ -165,9 +165,7 @@ class Stepper:
         """Acceleration by loads and air (m/s^2)."""
         problem, air, part = self.problem, self.asked.air, self.problem.part
         mass = problem.vertex_mass()[problem.own]
-        area = (
-            0.5 * np.linalg.norm(area_vectors(self.kinematics.positions, part.corners), axis=1) @ part.weight
-        )
+        area = triangle_areas(self.kinematics.positions, part.corners) @ part.weight
         whole = problem.comm.allreduce(np.array([area, mass.sum()]))
         blown = air.drag * float(air.velocity @ air.velocity) * whole[0] / whole[1] if air else 0.0
         loads = problem.load_norm(self.y) / problem.norm(np.repeat(mass, 3))
