@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from voile.errors import InputError
+from voile.launch import started
 from voile.signals import ENDING
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ def run(args: argparse.Namespace) -> int:
     from voile.study.execute import Runs
     from voile.study.plan import read_plan
 
+    if (ranks := started()) > 1:
+        raise InputError(
+            f"voile study on {ranks} ranks: it starts its runs itself; allowed: without mpirun (ranks in [vary], --jobs)"
+        )
     if args.jobs < 1:
         raise InputError(f"--jobs {args.jobs}: allowed: 1 or more")
     plan = read_plan(args.study)
