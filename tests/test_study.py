@@ -389,21 +389,11 @@ def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):
     assert "energy.bending" in run.stderr
 
 
-def test_other_bad_input(study, tmp_path, monkeypatch):
+def test_other_bad_input(study, tmp_path):
     path = study(FRONT)
-    with monkeypatch.context() as started:  # as mpirun tells each rank
-        started.setenv("OMPI_COMM_WORLD_SIZE", "2")
-        refused(voile("study", path), "on 2 ranks: it starts its runs itself; allowed: without mpirun")
     refused(voile("study", tmp_path / "none.toml"), "none.toml: no such file")
     refused(voile("study", path, "-o", tmp_path / "out", "--jobs", "0"), "--jobs 0")
     refused(voile("study", path, "-o", tmp_path / "out", "--run", "4"), "--run 4", "1 to 3")
-    for launcher, words in (
-        ("no-such-mpirun -n {ranks}", "is not on the PATH"),
-        ("srun '", "No closing quot"),
-    ):
-        path = study(FRONT.replace("repeats = 1", f'repeats = 1\nlauncher = "{launcher}"'))
-        refused(voile("study", path, "-o", tmp_path / "out"), "study.launcher", words)
-    path = study(FRONT)
     (tmp_path / "file").write_text("")
     refused(voile("study", path, "-o", tmp_path / "file"), "cannot be written: Not a directory")
     (tmp_path / "scene.toml").unlink()

@@ -5,12 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command_line import refused, voile
 from test_study import POINT, SCENE
 
+from voile.errors import InputError
 from voile.mesh import read_mesh, refine, write_obj
 from voile.study import report
 from voile.study.analysis import analyse
-from voile.study.execute import Record, Runs
+from voile.study.execute import Record, Runs, launcher
 from voile.study.measures import figure, mean_weights
 from voile.study.plan import read_plan
 from voile.study.series import extrapolate, rate_to
@@ -267,3 +269,15 @@ def test_labels_of_neighbours_on_the_front_do_not_overlap():
     assert len(boxes) == 3
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     assert all(axes.bbox.contains(*corner) for box in boxes for corner in box.corners())
+
+
+def test_what_cannot_start_runs_is_refused(monkeypatch):
+    """A launcher that is not there or no command; mpirun, which tells its ranks how many they are."""
+    for given, words in (
+        ("no-such-mpirun -n {ranks}", "is not on the PATH"),
+        ("srun '", "No closing quotation"),
+    ):
+        with pytest.raises(InputError, match=f"study.launcher: .*{words}"):
+            launcher(given, 2)
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
+    refused(voile("study", "any.toml"), "study: 2 ranks; allowed: one process")

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
     if (ranks := started()) > 1:
         raise InputError(
-            f"voile study on {ranks} ranks: it starts its runs itself; allowed: without mpirun (ranks in [vary], --jobs)"
+            f"study: {ranks} ranks; allowed: one process, which starts the runs (ranks in [vary])"
         )
     if args.jobs < 1:
         raise InputError(f"--jobs {args.jobs}: allowed: 1 or more")
