@@ -42,8 +42,8 @@ class Layers:
     `caught` at the start where a seam gapes (how many); seams (k, 2): those of them that only a seam joins, further
     along it: a pair with one of these may touch, but for those of codes barred (l,); friction: Coulomb's coefficient;
     known (k,): codes of pairs,
-    ascending, that keep another distance apart (k,) m; keeps: as do all that start nearer than the thickness, which a
-    motion is not to begin with throwing apart.
+    ascending, that keep another distance apart (k,) m; keeps: what starts nearer than the thickness does not come apart
+    to it, for a motion is not to throw it; least (n,): the distances (m) that pairs of a vertex keep then.
     """
 
     points: Reals
@@ -58,6 +58,7 @@ class Layers:
     keeps: bool = False
     seams: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     barred: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    least: Reals | None = None
 
     def __post_init__(self) -> None:
         ipctk.set_num_threads(1)
@@ -88,13 +89,15 @@ class Layers:
         return self._named(np.union1d(boxed.code[np.concatenate(distance) <= reach], kept), x)
 
     def started(self, x: Reals) -> "Layers":
-        """The layers of a shell that starts at positions x (n, 3)."""
+        """The layers of a shell that starts at positions x (n, 3). It is vertices that keep what they start with, not
+        pairs: those that slide on, to other triangles, would be thrown off these."""
         if not self.keeps:
             return self
-        here = self.find(x)
-        distance = closest(here, x).distance
-        near = distance < self.thickness
-        return replace(self, known=here.code[near], min_distance=distance[near])
+        here, least = self.find(x), np.full(len(x), self.thickness)
+        c = closest(here, x)
+        at = c.weight != 0.0
+        np.minimum.at(least, here.vertex[at], np.repeat(c.distance, at.sum(axis=1)))
+        return replace(self, least=least)
 
     def joined(self, distance: float) -> Ints:
         """(l,) codes of the pairs with vertices that a seam joins, nearer at the start than distance (m)."""
@@ -116,9 +119,11 @@ class Layers:
         return values
 
     def _named(self, code: Ints, x: Reals) -> Candidates:
-        least = np.full(len(code), self.thickness)
+        vertex, least = self._vertices(code), np.full(len(code), self.thickness)
+        if self.least is not None:
+            least = self.least[vertex].min(axis=1)
         least[np.isin(code, self.known)] = self.min_distance[np.isin(self.known, code)]
-        return Candidates(code, self._vertices(code), self._faces(code), x.copy(), least)
+        return Candidates(code, vertex, self._faces(code), x.copy(), least)
 
     def valid(self, candidates: Candidates, x: Reals) -> bool:
         """Whether no other pairs than the candidates can touch at positions x (n, 3)."""

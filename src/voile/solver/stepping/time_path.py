@@ -32,8 +32,7 @@ from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean,
 @dataclass
 class Options:
     """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
-    last one that was cut. trial: of the first step, from which a scheme's first acceleration is taken; its error is of
-    that order, and second order needs no better. close: of a step, that the end may be beyond it. rest: of the way that
+    last one that was cut. close: of a step, that the end may be beyond it. rest: of the way that
     the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
     positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. closes: of
     the most energy that there was, what the books may miss at the end; steps that take more than their share of it are
@@ -42,7 +41,6 @@ class Options:
     cut: float = 0.25
     smallest: float = 1e-8
     longer: float = 2.0
-    trial: float = 0.01
     close: float = 1e-6
     rest: float = 2.0
     digits: float = 4.0
@@ -176,10 +174,10 @@ class Stepper:
         return self.problem.in_sizes(np.linalg.norm(self.kinematics.velocity, axis=1)) * self.problem.size()
 
     def _begin(self) -> None:
-        """The acceleration at the start, of a short trial step, from which director angles are kept."""
+        """The acceleration at the start, of a trial step that no local error refuses, from which director angles are
+        kept. Its error is of that step's order, and second order needs no better."""
         start, k = self.problem.save(self.y), self.kinematics
-        trial = self.options.trial * self.asked.time_step
-        done = self._step(ImplicitEuler(), trial, trial)[0]
+        done = self._step(ImplicitEuler(), self.finest, self.finest)[0]
         if done is not None:
             k = replace(k, acceleration=self.kinematics.acceleration, filtered=self.kinematics.acceleration)
         self.problem = self.problem.at(0.0)
@@ -196,7 +194,9 @@ class Stepper:
         forces = StepForces(problem, scheme, h, self.problem.point(y), k, self.damping, self.asked.air)
         prediction = scheme.predict(k, h)
         struck = self._begin_contact(forces, prediction)
-        self._guess(problem, prediction)
+        if not self._guess(problem, prediction):
+            problem.restore(y, start)
+            return None, Outcome(False, "", "supports carry a layer of the shell through another"), 0.0
         prediction, step, wanted, outcome = self._solve(forces, prediction, struck)
         self.path.seconds |= {"linear_solve": self.solver.counts.seconds}
         if problem.contact:
@@ -312,16 +312,26 @@ class Stepper:
         unknowns.array[:] = problem.layout.diagonal(dofs) > 0.0
         return np.asarray(known | (bears | problem.motion(unknowns).any(axis=1))[:, None], dtype=bool)
 
-    def _guess(self, problem: Problem, prediction: Prediction) -> None:
+    def _guess(self, problem: Problem, prediction: Prediction) -> bool:
         """Goes as the last acceleration leads, as far as terms admit; where something pushed, as the velocity does,
-        for an impact is over; what stuck to an obstacle goes with it."""
-        k = self.kinematics
+        for an impact is over; what stuck to an obstacle goes with it. Where supports move, layers must not pass through
+        each other as all goes there at once, or as supports do alone and then the rest: whether they do not."""
+        k, contact = self.kinematics, problem.contact
         goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
-        if problem.contact:
-            stuck, carried = problem.contact.carried(k.positions, problem.time)
+        if contact:
+            stuck, carried = contact.carried(k.positions, problem.time)
             goal[stuck] = carried[stuck]
         way = field_vector(problem, goal - k.positions)
+        if contact and contact.itself and problem.moves:
+            y = self.y.copy()
+            y.axpy(problem.with_contact(None).longest_step(y, way), way)
+            if contact.free_share(k.positions, problem.positions(y)) == 1.0:
+                y.copy(self.y)
+                return True
+            if contact.free_share(k.positions, problem.positions(self.y)) < 1.0:
+                return False
         self.y.axpy(problem.longest_step(self.y, way), way)
+        return True
 
     def _wanted(self, problem: Problem, prediction: Prediction) -> float:
         """Tolerance of a step's residual (N): a share of the loads' norm, without loads of the largest forces so far
