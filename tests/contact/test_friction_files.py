@@ -77,6 +77,22 @@ def test_both_layouts_give_the_same_solution(tmp_path):
     assert (reactions[0] == reactions[1]).all()
 
 
+def test_a_tolerance_is_met_and_costs(tmp_path, capsys):
+    from voile.cli import main
+
+    path, found, (W, q, mu) = tmp_path / "p.hdf5", [], problem()
+    write_fclib(path, W, -q, mu)  # all come closer
+    for tolerance in ("1e-1", "1e-12"):
+        assert main(["friction", str(path), "-o", str(tmp_path / "out.h5"), "--tolerance", tolerance]) == 0
+        with h5py.File(tmp_path / "out.h5") as file:
+            found.append((file["solution"].attrs["error"], file["solution"].attrs["iterations"]))
+    (rough, few), (fine, many) = found
+    assert fine <= 1e-12 < rough <= 1e-1 and few < many
+    for wrong in ("0", "nan"):
+        assert main(["friction", str(path), "--tolerance", wrong]) == 2
+        assert f"--tolerance {wrong}: allowed: a number > 0" in capsys.readouterr().err
+
+
 def test_what_did_not_converge_is_kept(tmp_path):
     H = np.vstack([np.eye(3), -np.eye(3)])  # a body between two walls that come closer
     write_rows(tmp_path / "p.h5", sp.csr_matrix(H @ H.T), np.array([-1.0, 0, 0] * 2), np.array([0.3, 0.3]))

@@ -13,6 +13,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments."""
     parser.add_argument("problem", type=Path)
     parser.add_argument("-o", "--output", type=Path, help="HDF5 file for the solution")
+    parser.add_argument(
+        "--tolerance", type=float, default=1e-8, metavar="E", help="error of the natural map (default: 1e-8)"
+    )
 
 
 def run(args: argparse.Namespace) -> None:
@@ -22,6 +25,8 @@ def run(args: argparse.Namespace) -> None:
     from voile.results.friction import read_problem, write_solution
     from voile.solver.friction import FrictionNotConverged, solve_friction
 
+    if not args.tolerance > 0.0:
+        raise InputError(f"--tolerance {args.tolerance:g}: allowed: a number > 0")
     problem = read_problem(args.problem)
     W, q, mu = problem
     if args.output:
@@ -29,7 +34,7 @@ def run(args: argparse.Namespace) -> None:
     failure = None
     began = time.perf_counter()
     try:
-        r, info = solve_friction(W, q, mu)
+        r, info = solve_friction(W, q, mu, args.tolerance)
     except FrictionNotConverged as error:
         failure, r, info = error, error.reaction, error.info
     except InputError as error:
