@@ -137,6 +137,17 @@ def test_seams_have_their_own_allowance_and_hem(flat, tmp_path):
             assert shapely.LinearRing(piece.cut[0]).distance(shapely.Point(point - width * way)) < 1e-6
 
 
+def test_ease_of_symmetric_panels_is_what_was_asked_for():
+    """Panels become mirror images first; after it their ease is off, here by 3e-7 m, on a real skirt by 3e-6 m."""
+    faces, points, groups = garment(noise=3e-4)
+    wishes = tuple(SeamRule((side, "front"), ease=0.015) for side in ("left", "right"))
+    pattern = make_pattern(
+        flatten(split(faces, points, groups=groups, cut_open=True)), rules=Rules(seams=wishes, symmetric=0)
+    )
+    eased = [seam for seam in pattern.seams if seam.ease]
+    assert len(eased) == 2 and max(seam.mismatch for seam in eased) < 5e-8 and pattern.symmetrised > 1e-4
+
+
 def test_ease_makes_one_side_longer(flat, tmp_path):
     """By what was asked for, the other panel and other seams of the same panel as good as unchanged."""
     pattern = make_pattern(flat, rules=Rules(seams=(SeamRule(("right", "front"), ease=0.015),)))

@@ -1,6 +1,7 @@
 """The sewing pattern of flattened panels: grain, layout, cut line, notches, and what a summary says of it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,17 +46,19 @@ def make_pattern(
     if not (np.isfinite(allowance) and allowance >= 0):
         raise InputError(f"pattern: seam allowance = {allowance}, allowed: 0 or more, in metres")
     check_rules(flat.panels, rules.panels, rules.seams)
+    panels, mirrors, moved = flat.panels, tuple[int, ...](), 0.0
+    if rules.symmetric is not None:
+        mirror = mirror_map(panels, rules.symmetric)
+        mirrors = tuple(partners(panels, mirror))
+        even, moved = symmetrised(panels, flat.coordinates, mirror)
+        flat = replace(flat, coordinates=even)  # ease is then that of the panels as they are cut
     flat = add_ease(flat, rules.seams)
-    panels, x = flat.panels, flat.coordinates.copy()
+    x = flat.coordinates.copy()
     for k, along in enumerate(grains(flat, grain, rules.panels)):
         own = panels.vertex_panel == k
         x[own] = _turned(x[own], along)
-    mirrors: tuple[int, ...] = ()
-    moved = 0.0
-    if rules.symmetric is not None:
-        mirror = mirror_map(panels, rules.symmetric)
-        x, moved = symmetrised(panels, x, mirror)
-        mirrors = tuple(partners(panels, mirror))
+    if mirrors:
+        x, _ = symmetrised(panels, x, mirror)
     widths, at_seam = allowances(panels, rules.seams, allowance)
     outlines = zip(panels.outlines, widths, panels.names, strict=True)
     cuts = [cut_line(x[outline], width, name) for outline, width, name in outlines]
