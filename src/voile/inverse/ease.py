@@ -76,8 +76,12 @@ def _influence(flat: FlatPanels, seam: int, side: int) -> Reals:
     middle, line = shapely.points(corners.mean(axis=1)), shapely.LineString(points)
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     at = shapely.line_locate_point(line, middle)
-    edge = np.clip(np.searchsorted(arc, at) - 1, 0, len(points) - 2)
-    tangent = np.diff(points, axis=0)[edge]
+    edges = np.diff(points, axis=0)
+    edges /= np.linalg.norm(edges, axis=1)[:, None]
+    ends = (
+        at + np.array([[-1.0], [1.0]]) * ACCURACY * arc[-1]
+    )  # beside a vertex both edges count, whichever comes first
+    tangent = edges[np.clip(np.searchsorted(arc, ends) - 1, 0, len(edges) - 1)].sum(axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     weight = np.clip(1.0 - shapely.distance(line, middle) / (REACH * arc[-1]), 0.0, 1.0)
     found: Reals = np.einsum("t,ti,tj->tij", weight, tangent, tangent)
