@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from voile.arrays import Ints, Reals, triangle_areas
+from voile.arrays import Ints, Reals, triangle_areas, units
 from voile.mesh.topology import build_topology, inside_out
 from voile.problem.shell import Shell
 
@@ -155,9 +155,7 @@ def _bases(corners: Reals) -> Reals:
     """(n, 3, 3) columns: two edges and the unit normal of triangles (n, 3, 3); the normal is none where there is no
     area."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, two)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    return np.stack([one, two, normal], axis=2)
+    return np.stack([one, two, units(np.cross(one, two))], axis=2)
 
 
 def _moved(points: Reals, near: Reals) -> Reals:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from petsc4py import PETSc
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Ints, Reals, units
 from voile.mesh.topology import build_topology
 from voile.problem.constraints import build_constraints
 from voile.problem.levels import coarsen
@@ -146,9 +146,8 @@ def _least_squares(x: Reals, around: Reals, present: Reals, corners: Reals) -> R
     plane of corners (p, 3, 3)."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = np.maximum(np.sqrt((one**2 + two**2).sum(axis=1) / 2.0), 1e-300)[:, None]
-    along = one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-300)
-    across = two - np.einsum("ni,ni->n", two, along)[:, None] * along
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    along = units(one)
+    across = units(two - np.einsum("ni,ni->n", two, along)[:, None] * along)
     away = around - x[:, None]
     s, t = (np.einsum("psi,pi->ps", away, axis) / size for axis in (along, across))
     share = present / ((away**2).sum(axis=2) / size**2 + NEAR) ** 2
