@@ -57,7 +57,8 @@ class Iteration:
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, y: PETSc.Vec) -> None:
         """Iterates until SNES's convergence test says so; sets its reason."""
         method, problem = self.method, self.method.nonlinear.problem
-        residual, direction, start, stall = snes.getFunction()[0], y.duplicate(), y.copy(), Stall()
+        residual, direction, start = snes.getFunction()[0], y.duplicate(), y.copy()
+        stall = Stall(idle=1)  # full steps halve a residual near its round-off at once, or never
         method.steps = []
         snes.computeFunction(y, residual)
         first = before = norm = residual.norm()
