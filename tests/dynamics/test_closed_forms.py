@@ -78,7 +78,7 @@ def test_errors_follow_the_accuracy_of_adaptive_steps(scheme, order):
     shell = cloth(points, triangles, gravity=np.zeros(3))
     away, counts = [], []
     asked = SchemeOptions(theta=0.5)
-    for accuracy in np.array([1e-3, 1e-4, 1e-5]) * 10.0 ** (-order):
+    for accuracy in np.array([1e-3, 1e-4, 1e-5]) * 100.0 ** (1 - order):
         run = move(shell, scheme, 0.5, end, speed, damping=Damping(mass=rate), accuracy=accuracy, asked=asked)
         assert run.path.converged
         exact = points[run.problem.part.vertex] + speed / rate * (1.0 - np.exp(-rate * end))
@@ -111,8 +111,8 @@ def test_stiffness_damping_fades_a_mode_by_half_its_frequency_squared(scheme, th
     kick[problem.part.vertex] = 1e-6 * shape / np.abs(shape).max()
     roots = omega * (-zeta + np.array([1.0, -1.0]) * np.sqrt(complex(zeta**2 - 1.0)))
     away = []
-    for steps in (100, 200):
-        end = 6.0 / omega
+    for steps in (50, 100):
+        end = 3.0 / omega
         asked = SchemeOptions(theta=theta, spectral_radius=0.8)
         run = move(
             shell,
@@ -129,5 +129,5 @@ def test_stiffness_damping_fades_a_mode_by_half_its_frequency_squared(scheme, th
         t = np.array(run.times)
         exact = ((np.exp(roots[0] * t) - np.exp(roots[1] * t)) / (roots[0] - roots[1])).real
         away.append(np.abs(q - exact).max() / np.abs(exact).max())
-    bound = 0.12 if scheme == "implicit-euler" else 0.015
+    bound = 0.06 if scheme == "implicit-euler" else 0.015
     assert away[0] < bound and np.log2(away[0] / away[1]) > 0.8
