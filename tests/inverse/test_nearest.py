@@ -168,6 +168,19 @@ def test_time_ends_the_adjoint_method_too(monkeypatch):
     assert "; inverse.max_seconds ended the search" in result.reason
 
 
+def test_time_ends_the_direct_method_too(monkeypatch):
+    """Between iterations: what it has reached is the answer, and but its proof is left to do."""
+    shape = folded_skirt(24, 4, young=1e7)
+    problem, seen = Problem(shape, MPI.COMM_SELF), []
+    problem.monitor = lambda *iteration: seen.append(iteration)
+    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(seen)))
+    result = solve_inverse(problem, shape, [], 0.0, InverseOptions(max_seconds=22.0))
+    assert result.direct.fraction == 0.25 and not result.converged  # it would reach 0.3535
+    assert result.adjoint is None and result.nearest.fraction == 0.25
+    assert "inverse.max_seconds ended the search at 0.25 of the load" in result.reason
+    assert result.nearest.timed_out and inverse_report(result)["nearest"]["moved"] is None
+
+
 def test_a_column_that_cannot_stand_leans_as_little_as_it_can():
     """The least margin at which simulations from the target end there."""
     shape, _ = heavy_strip(9.0, upwards=True, cells=20)

@@ -218,17 +218,22 @@ def _unpacked(target: Target, design: Design, found: Arrays) -> AdjointPath:
 
 
 def keep_what_is_reached(
-    target: Target, path: AdjointPath, accuracy: float, panels: PanelRest | None = None
+    target: Target,
+    path: AdjointPath,
+    accuracy: float,
+    panels: PanelRest | None = None,
+    over: Callable[[], bool] = lambda: False,
 ) -> Simulation:
     """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, no farther off than
     the first, or of the first and the last few the one that ends nearest: the search's short simulations may end
-    elsewhere than statics do, and what it minimises is no largest displacement. That simulation."""
+    elsewhere than statics do, and what it minimises is no largest displacement. Where time is
+    `over`, the first that ends stable will do. That simulation."""
     runs: list[tuple[Iterate, Simulation]] = []
     for iterate in reversed(_kept(path)):
         rest = iterate.rest if panels else _surface(target, iterate)
         run = simulate(target, rest, accuracy, panels=panels, eigenvalue=True)
         runs.append((iterate, run))
-        if run.stable and run.sag <= min(NEAR * iterate.sag, path.trail[0].sag):
+        if run.stable and (over() or run.sag <= min(NEAR * iterate.sag, path.trail[0].sag)):
             break
     kept, run = min(runs, key=lambda pair: (not pair[1].stable, pair[1].sag))
     path.trail = path.trail[: path.trail.index(kept) + 1]

@@ -32,6 +32,7 @@ NARROWEST = 1.0 / 64.0  # step of the way home from an equilibrium beside the ta
 SMALLEST = 1e-3  # fraction of the load: the resolution of the critical one
 WORST = 1e6  # times the loads: a residual from which Newton's method is not followed
 ROUND_OFF = 4e-15  # relative, of the residual's evaluation
+ENDED = "inverse.max_seconds ended the direct method"
 FOLDED = 170.0  # degrees, between the normals of triangles, where tan(angle / 2) grows steeply
 
 
@@ -71,10 +72,10 @@ Progress = Callable[[DirectStep], None]
 class Direct:
     """Newton's method in the rest shape at a target."""
 
-    def __init__(self, target: Target, tolerance: float = 1e-10):
-        """tolerance: residual over the loads' norm."""
+    def __init__(self, target: Target, tolerance: float = 1e-10, over: Callable[[], bool] = lambda: False):
+        """tolerance: residual over the loads' norm; over: whether the time of its solutions is over. Collective."""
         self.target, self.rest = target, target.rest
-        self.tolerance = tolerance
+        self.tolerance, self.over = tolerance, over
         self.moved = self.problem.create_vector()  # displacement of the shape to be held from the target
         self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
@@ -103,7 +104,7 @@ class Direct:
         z = self.problem.create_vector()
         if path is None:
             path = (guess and self.begin_with(guess, on_step)) or DirectPath(rest=z.copy())
-        while path.fraction < 1.0 and path.step >= smallest:
+        while path.fraction < 1.0 and path.step >= smallest and not self.over():
             fraction = min(1.0, path.fraction + path.step)
             path.rest.copy(z)
             reason, norm, iterations = self.solve(z, fraction)
@@ -128,6 +129,8 @@ class Direct:
             if keep:
                 keep(path)
         path.converged = path.fraction >= 1.0
+        if not path.converged and self.over():
+            path.reason = ENDED
         if path.critical is not None:
             path.reason = _lost(path.fraction, path.critical)
         if path.lost is not None and path.critical is not None:
@@ -215,6 +218,8 @@ class Direct:
                 return "", norm, it
             if near < math.inf and not norm < STAGNANT * near:
                 break
+            if self.over():
+                return ENDED, norm, it
             if norm <= noise:
                 near = norm
                 z.copy(kept)

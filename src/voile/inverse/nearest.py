@@ -134,7 +134,7 @@ class Nearest:
         way = (fraction - point.fraction, margin - point.margin)
         enough = SETTLED if not any(way) and self._sag(point) <= SLIGHT else exact
         local, tries = self._model(point, way), 0
-        while local and self.radius >= SHORTEST * self.first:
+        while local and self.radius >= SHORTEST * self.first and not self.clock.over():
             trial = self._propose(local, point, way)
             if trial is None:
                 return None, False
@@ -280,7 +280,7 @@ class Nearest:
             if holds and self._sag(found) <= SLIGHT:
                 break
             trial, reached = self._with(factor * found.margin, found)
-            if not reached or (holds and self._sag(trial) > IDLE * self._sag(found)):
+            if not reached or self.clock.over() or (holds and self._sag(trial) > IDLE * self._sag(found)):
                 break
             if firm(trial) != holds:
                 return found if holds else trial

@@ -30,8 +30,8 @@ class InverseResult:
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
     the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`,
     nan where none is found; simulation and disturbed: statics from the target and from beside it, `held` from the
-    nearest answer, all to `tolerance` of the loads' norm; apart: sizes between the ends of the first two; seconds: of
-    the search (`inverse`) and of certificate and simulations (`proof`).
+    nearest answer under the full load, all to `tolerance` of the loads' norm; spread: sizes between the ends of the
+    first two; seconds: of the search (`inverse`) and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -193,13 +193,13 @@ def inverse_report(result: InverseResult) -> dict[str, Any]:
 
 def _nearest(result: InverseResult) -> dict[str, Any] | None:
     nearest, held = result.nearest, result.held
-    if not (nearest and held):
+    if not nearest:
         return None
     return {
         "sag": nearest.sag,
         "margin": nearest.margin,
         "steps": len(nearest.steps),
-        "moved": held.sag,
+        "moved": held.sag if held else None,
         "load_fraction": nearest.fraction,
         "timed_out": nearest.timed_out,
     }

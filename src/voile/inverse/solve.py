@@ -43,8 +43,8 @@ class InverseOptions:
     "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
     (smallest eigenvalue over g/L; 0: the least at which simulations from the target end), or, where there is no way to
     it and with "tao", by TAO with the weight `regularisation` of the rest shape's change, for `iterations` at most;
-    developable: the rest shape has no angle defect inside; max_seconds: of the search, but for its proof; 0: no
-    limit."""
+    developable: the rest shape has no angle defect inside; max_seconds: of the search, but for the proof of its answer;
+    0: no limit."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
@@ -133,7 +133,8 @@ class Search:
         """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method
         may alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is
         taken. Raises NotConverged where round-off hides the loads."""
-        target, solver, paths = self.target, Direct(self.target), dict[float, DirectPath]()
+        target, paths = self.target, dict[float, DirectPath]()
+        solver = Direct(target, over=self.clock.over)
         holds = HOLDS if target.contacts else HOLDS[:1]
         for smallest in (COARSE, SMALLEST):
             for hold in holds:
@@ -157,9 +158,9 @@ class Search:
                     )
 
                 path = paths[hold] = unpacked_direct(target.problem, self.journal.call(work))
-                if path.converged or path.critical is not None:
+                if path.converged or path.critical is not None or self.clock.over():
                     break
-            if path.converged:
+            if path.converged or self.clock.over():
                 break
         best = max(paths, key=lambda hold: paths[hold].fraction)
         path, target.penalty = paths[best], best * target.membrane
@@ -187,7 +188,7 @@ class Search:
             return None
         target.hold(found.rest)
         run = self.proofs(found.rest)
-        nearer = found.timed_out or _nearer(target, found, run, options.tolerance)
+        nearer = self.clock.over() or _nearer(target, found, run, options.tolerance)
         return found if nearer else None
 
     def _stays(self, rest: PETSc.Vec, sag: float) -> bool:
@@ -197,7 +198,7 @@ class Search:
 
     def adjoint(self, path: DirectPath) -> AdjointPath | None:
         """The simulation nearest to the target where the direct method has no stable shape."""
-        if path.converged or self.options.method == "direct":
+        if path.converged or self.options.method == "direct" or self.clock.over():
             return None
         self.target.load(1.0)
         try:
@@ -206,7 +207,7 @@ class Search:
             path.reason += f"; {reason}"
             return None
         self.target.release()
-        keep_what_is_reached(self.target, found, self.options.tolerance)
+        keep_what_is_reached(self.target, found, self.options.tolerance, over=self.clock.over)
         self.target.rest.set(found.rest)
         return found
 
@@ -244,7 +245,7 @@ class Search:
         beside = nearest or adjoint
         if beside is None or (nearest and nearest.fraction != 1.0):
             return None
-        return Direct(self.target).home(beside.state, beside.rest, self.told.step)
+        return Direct(self.target, over=self.clock.over).home(beside.state, beside.rest, self.told.step)
 
     def developable(
         self, shell: Shell | None, exempt: Ints | None, z: PETSc.Vec
@@ -260,7 +261,7 @@ class Search:
         design.set(adjoint.rest)
         found, trade = design.projected.copy(), []
         found.array[design.idle()] = adjoint.state.array_r[design.idle()]
-        for share in TRADE:
+        for share in TRADE[-1:] if self.clock.over() else TRADE:
             between = z.copy()
             between.axpby(share, 1.0 - share, found)
             reached = simulate(target, between, self.options.tolerance).settled_sag
@@ -281,7 +282,8 @@ class Search:
         target = self.target
         if nearest:
             simulation, disturbed = self.proofs(z), self.proofs(z, True)
-            held = simulate(target, z, tolerance, start=nearest.state)
+            whole = nearest.fraction == 1.0  # else it is no answer, and has nothing to prove
+            held = simulate(target, z, tolerance, start=nearest.state) if whole else None
             return simulation, disturbed, held, nearest.eigenvalue, nearest.mode
         reached = adjoint.reached if adjoint else None
         simulation = reached or simulate(target, z, tolerance, eigenvalue=adjoint is not None)
@@ -338,7 +340,7 @@ def solve_panels(
     told.found(panels.base)  # the search may be long, or find nothing
     adjoint = search.minimise(panels.create(), panels)
     target.release()
-    simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
+    simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels, search.clock.over)
     z = adjoint.rest
     if even:
         panels.take(z, even(panels.coordinates(z)))

@@ -200,7 +200,7 @@ class Inverse:
     )
     max_seconds: float = key(
         Number("s", least=0),
-        "adjoint, tao: wall time after which the search for a stable shape ends with the best one so far; 0: no limit",
+        "wall time after which the search ends with the best shape so far, which is then proved; 0: no limit",
         default=0.0,
     )
 
