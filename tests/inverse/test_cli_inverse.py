@@ -12,6 +12,7 @@ from inverse_shells import folded_skirt, grid
 from test_direct import sheet_with_flap, tube
 from test_panels import cone_skirt
 
+from voile import read as voile_result
 from voile.cli import main
 from voile.inverse import solve
 from voile.mesh import Stitches, read_mesh, write_obj
@@ -190,6 +191,19 @@ def test_a_target_that_sinks_a_little_is_solved_and_told_of(on_a_rod):
     assert any("off what it touches: simulations here keep the gaps" in note for note in summary["notes"])
     assert "the target is up to 0.0017 m" in note and "vertex" in note
     assert summary["inverse"]["sag"] < 1e-8
+    text = (on_a_rod / "scene.toml").read_text()
+    text = text.replace('task = "inverse"', 'task = "statics"').replace(
+        "[inverse]", "[statics]\nload_steps = 1"
+    )
+    (on_a_rod / "scene.toml").write_text(text.replace("[shell]", '[shell]\nrest = "found/rest.obj"'))
+    (on_a_rod / "out").rename(on_a_rod / "found")
+    code, said = run(on_a_rod)
+    assert code == 0, said
+    closed = voile_result(str(on_a_rod / "out"))
+    moved = np.linalg.norm(closed.positions - closed.start, axis=1).max()
+    sag = moved / np.linalg.norm(np.ptp(closed.start, axis=0))
+    assert summary["inverse"]["sag_closed"] == pytest.approx(sag, rel=1e-6) and sag > 1e-4
+    assert "a scene of statics closes gaps and ends" in summary["reason"]
 
 
 def test_estimating_with_an_unknown_rest_shape_is_refused(on_a_rod):

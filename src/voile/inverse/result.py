@@ -30,7 +30,8 @@ class InverseResult:
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
     the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`,
     nan where none is found; simulation and disturbed: statics from the target and from beside it, `held` from the
-    nearest answer under the full load, all to `tolerance` of the loads' norm; spread: sizes between the ends of the
+    nearest answer under the full load, `closed` from the target without the gaps that the others keep, where these
+    matter, all to `tolerance` of the loads' norm; spread: sizes between the ends of the
     first two; seconds: of the search (`inverse`) and of certificate and simulations (`proof`).
     """
 
@@ -48,6 +49,7 @@ class InverseResult:
     trade: list[dict[str, float | None]] | None = None
     nearest: NearestPath | None = None
     held: Simulation | None = None
+    closed: Simulation | None = None
     guess: Reals | None = None
     tolerance: float = 0.0
     spread: float = field(init=False)
@@ -94,6 +96,12 @@ class InverseResult:
         settles = "; the simulation from beside it did not settle" if settled and not beside else ""
         if self.spread > SPREAD:
             settles = f"; the simulation from beside it ends elsewhere, {self.disturbed.sag:.2g} sizes from the target"
+        if self.closed and not self.closed.stable:
+            settles += "; a scene of statics, which closes gaps, finds no stable equilibrium"
+        elif self.closed and self.closed.sag > self.simulation.sag + SPREAD:
+            settles += (
+                f"; a scene of statics closes gaps and ends {self.closed.sag:.2g} sizes from the target"
+            )
         said, bounds = self._finding() + far + settles + self._ended(), self.target.bounds
         return said if self.exact or bounds.last in said else said + bounds.told()
 
@@ -170,6 +178,7 @@ def inverse_report(result: InverseResult) -> dict[str, Any]:
         "residual_at_target": result.residual if result.exact else None,
         "sag": result.simulation.settled_sag,
         "sag_disturbed": result.disturbed.settled_sag,
+        "sag_closed": (result.closed or result.simulation).settled_sag,
         "disturbance": result.disturbed.disturbance,
         "stable": result.stable,
         "smallest_eigenvalue": None if math.isnan(result.eigenvalue) else result.eigenvalue,

@@ -114,10 +114,11 @@ def solve_inverse(
     proving = time.perf_counter()
     tolerance = _resolved(target, path, options.tolerance) if found is path else options.tolerance
     simulation, disturbed, held, eigenvalue, mode = search.proof(z, path, nearest, adjoint, tolerance)
+    closed = simulate(target, z, tolerance, closes=True) if target.hovering() else None
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
-        nearest=nearest, held=held, guess=away, tolerance=tolerance,
+        nearest=nearest, held=held, closed=closed, guess=away, tolerance=tolerance,
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they
 HOLDS = 1.0, 0.1, 0.01  # tried in turn: penalty on rest positions at contacts, over the shell's
 CLEARANCE = 1e-3  # in thicknesses, of what sinks into an obstacle at the target and carries nothing
 UNLOADED = 1e-9  # of the loads: those whose rate is that of eigenvalues where there are none
+HOVERS = 1e-4  # sizes: a gap of what bears that matters
 TINY = 1e-9  # reaction over the largest one under which a contact holds nothing
 
 
@@ -338,6 +339,16 @@ class Target:
         return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), scale)
 
     # ---- for the simulation ----
+
+    def hovering(self) -> bool:
+        """Whether gaps of what bears matter."""
+        bears = self.own & (dot(self.reactions, self.cones.normal) > 0.0)
+        near = bool((np.abs(self.gaps()[bears]) <= HOVERS * self.problem.size()).all())
+        return not self.problem.everywhere(near)
+
+    def as_statics(self) -> Problem:
+        """The problem under the full load as a scene of statics has it, which closes gaps."""
+        return with_obstacles(self.problem.at(1.0), self.obstacles, self.offset, self.layers)
 
     def obstructed(self) -> Problem:
         """The problem under the full load with obstacles and layers in the way, for a simulation: active contacts at

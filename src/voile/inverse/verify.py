@@ -58,16 +58,17 @@ def simulate(
     *,
     panels: PanelRest | None = None,
     disturbed: bool = False,
+    closes: bool = False,
     eigenvalue: bool = False,
     start: PETSc.Vec | None = None,
     watch: Callable[[PETSc.Vec], None] | None = None,
 ) -> Simulation:
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
     starting at the target, disturbed a thickness off it away from contacts, or at the unknowns `start`. tolerance:
-    residual over the loads' norm; watch: told of the iterates of descents, to which a simulation that is watched keeps
-    from the start."""
+    residual over the loads' norm; closes: gaps in the target, as a scene of statics does, instead of keeping them;
+    watch: told of the iterates of descents, to which a simulation that is watched keeps from the start."""
     (panels or target.rest).set(z)
-    problem = target.obstructed()
+    problem = target.as_statics() if closes else target.obstructed()
     first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
     beside = _disturbance(target) if disturbed else problem.create_vector()
     first.axpy(1.0, beside)

@@ -13,7 +13,6 @@ from voile.tasks.patterns import check_wishes
 from voile.tasks.rest import find_panels, find_surface, write_result
 from voile.tasks.run import Run
 
-HOVERS = 1e-4  # sizes: gaps of active contacts
 LOOSE = 1e-3  # sizes: a sag of panels that their seams may be to blame for
 
 
@@ -69,17 +68,17 @@ def _target_shell(job: Run) -> Shell | None:
 
 def _note(job: Run, result: InverseResult, report: dict[str, Any]) -> None:
     """What a user should know of the result."""
-    spec, size = job.scene.inverse, result.target.problem.size()
+    spec = job.scene.inverse
     if result.tolerance > spec.tolerance:
         job.note(
             f"inverse.tolerance: double precision holds the balance at the target to {result.residual:.1e} N, "
             f"{result.tolerance:.1e} of the loads; simulations are asked for no more"
         )
-    sunk, hover = report["reactions"].get("gaps") or (0.0, 0.0)
-    if max(-sunk, hover) > HOVERS * size:
+    if result.closed:
+        sunk, hover = report["reactions"]["gaps"]
         job.note(
             f"what bears in the target lies {sunk:.2g} to {hover:.2g} m off what it touches: simulations here keep the "
-            "gaps, a scene of statics closes them"
+            "gaps, a scene of statics closes them, as that of sag_closed does"
         )
     loose = spec.developable == "panels" and not job.scene.shell.seam_bending
     if loose and (report["sag"] or 1.0) > LOOSE:
