@@ -41,9 +41,9 @@ class Layers:
     points (n, 3) m; triangles (m, 3); edges (e, 2); excluded (b, 2): vertices too near along the cloth to touch, or
     `caught` at the start where a seam gapes (how many); seams (k, 2): those of them that only a seam joins, further
     along it: a pair with one of these may touch, but for those of codes barred (l,); friction: Coulomb's coefficient;
-    known (k,): codes of pairs,
-    ascending, that keep another distance apart (k,) m; keeps: what starts nearer than the thickness does not come apart
-    to it, for a motion is not to throw it; least (n,): the distances (m) that pairs of a vertex keep then.
+    known (k,): codes of pairs, ascending, that keep another distance `min_distance` (k,) m apart; keeps: what starts
+    nearer than the thickness does not come apart to it, for a motion is not to throw it; least (n,): the distances (m)
+    that pairs of a vertex keep then.
     """
 
     points: Reals

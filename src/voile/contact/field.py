@@ -228,9 +228,7 @@ def check_inside(points: Reals, triangles: Ints, source: str) -> None:
 def _outer(points: Reals, triangles: Ints) -> Ints:
     """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
     corner = points[triangles]
-    normal = area_vectors(points, triangles)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    lifted = corner + 1e-4 * diagonal(points) * (normal / np.maximum(length, 1e-300))[:, None]
+    lifted = corner + 1e-4 * diagonal(points) * units(area_vectors(points, triangles))[:, None]
     middle = lifted.mean(axis=1, keepdims=True)
     probes = np.concatenate([middle, 0.9 * lifted + 0.1 * middle], axis=1)
     outside = igl.fast_winding_number(points, triangles, probes.reshape(-1, 3)) <= 0.5
