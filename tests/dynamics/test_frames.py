@@ -11,6 +11,7 @@ from test_runs_in_time import SCENE, scene
 from voile.cli import main
 from voile.contact.field import distance_field
 from voile.contact.frames import Frames
+from voile.contact.obstacle import Start
 from voile.contact.obstacles import Sphere
 from voile.post.contact import surfaces
 from voile.results import read_result
@@ -23,10 +24,10 @@ def ball(cells: int = 24) -> tuple[np.ndarray, np.ndarray]:
     return Sphere(center=np.zeros(3), radius=1.0).surface(np.zeros((2, 3)))
 
 
-def frames_of(places: list[np.ndarray], radii: list[float], step: float = 0.1) -> Frames:
+def frames_of(places: list[np.ndarray], radii: list[float], step: float = 0.1, fine: float = 0.02) -> Frames:
     points, triangles = ball()
     shapes = np.array([r * points + c for r, c in zip(radii, places, strict=True)])
-    return Frames(shapes, step, distance_field(shapes[0], triangles, 0.02), "ball")
+    return Frames(shapes, step, distance_field(shapes[0], triangles, fine), "ball")
 
 
 def test_what_touches_a_body_goes_with_it():
@@ -40,6 +41,44 @@ def test_what_touches_a_body_goes_with_it():
     step = 1e-6 * np.array([0.3, -0.5, 0.8])
     slope = (frames.distance(moved + step, 0.05) - frames.distance(moved - step, 0.05)) / 2.0
     np.testing.assert_allclose(slope, normal @ step, rtol=1e-4, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "radius, way", [(0.2, 0.05), (0.02, 0.1)], ids=["a quarter of its radius", "past itself"]
+)
+def test_a_body_that_only_moves_keeps_its_shape(radius, way):
+    frames = frames_of([np.zeros(3), np.array([way, 0.0, 0.0])], [radius, radius], fine=0.1 * radius)
+    shape = np.random.default_rng(0).normal(size=(40, 3))
+    p = 1.05 * radius * shape / np.linalg.norm(shape, axis=1)[:, None]
+    going = np.array([way, 0.0, 0.0])
+    start = Start(p + 0.2 * going, 0.02)
+    for share in (0.3, 0.5, 0.9):
+        near = p + share * going + [0.0, 0.0, 1e-3 * radius]  # slides a little
+        moved = frames.derivatives(near, 0.1 * share, start)
+        for found, exact in zip(moved, frames.derivatives(near - share * going, 0.0), strict=True):
+            np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+def test_a_body_that_turns_and_swells_keeps_its_surface_and_has_exact_derivatives():
+    points, triangles = ball()
+    angle = 0.3
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+    )
+    egg = 0.2 * points * [1.0, 0.7, 0.8]
+    shapes = np.array([egg, 1.1 * egg @ turn.T + [0.1, 0.0, 0.05]])
+    frames = Frames(shapes, 0.1, distance_field(shapes[0], triangles, 0.01), "egg")
+    on = frames.at(0.04)[::7]
+    start = Start(on, 0.04)
+    there = frames.carry(on, 0.04, 0.07)
+    np.testing.assert_allclose(there, frames.at(0.07)[::7], atol=1e-9)
+    gap, normal, curvature = frames.derivatives(there, 0.07, start)
+    np.testing.assert_allclose(gap, 0.0, atol=2.0 * frames.first.measured)
+    step = 1e-5 * np.random.default_rng(1).normal(size=on.shape)
+    ahead, behind = (frames.derivatives(there + s * step, 0.07, start) for s in (1.0, -1.0))
+    np.testing.assert_allclose(ahead[0] - behind[0], 2.0 * np.einsum("pi,pi->p", normal, step), atol=1e-10)
+    bend = 2.0 * np.einsum("pij,pj->pi", curvature, step)
+    np.testing.assert_allclose(ahead[1] - behind[1], bend, atol=1e-3 * np.abs(bend).max())
 
 
 def test_a_ball_that_swells_lifts_a_sheet():
@@ -100,3 +139,8 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
         for step in (0, 4, -1):
             (drawn, _), shift = surfaces(result, step)[0], 0.1 * result.values[step]
             np.testing.assert_allclose(drawn, 0.1 * ball()[0] + [0.5 + shift, 0.25, -0.12], atol=1e-7)
+        end = result.points()
+    one = """obstacle.0={shape="mesh", file="body_000.obj", move={velocity=[0.1, 0.0, 0.0]}, friction=0.4}"""
+    assert main(["run", str(scene), "-o", str(tmp_path / "moved"), "--set", one]) == 0
+    with read_result(tmp_path / "moved") as result:
+        np.testing.assert_allclose(end, result.points(), atol=1e-9)

@@ -9,7 +9,7 @@ Two forms of the natural map serve the solver:
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from voile.contact.directions import lengths, unit
 from voile.contact.equations import Equations, Linearised
 from voile.contact.history import History
 from voile.contact.natural_map import NaturalMap
+from voile.contact.obstacle import Start
 from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer, within
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
@@ -78,15 +79,15 @@ class Contact(NaturalMap):
         begin, end = obstacle.way(x, began, moved, ended)
         length = lengths(end - begin)
         going = np.flatnonzero((self.gap(k, x, began) < length) & self.movable)
-        offset = np.asarray(self.offset)[k][going]
+        offset, start = np.asarray(self.offset)[k][going], Start(x, began)
 
         def gap(points: Reals, rows: Ints) -> tuple[Reals, Reals]:
-            here, normal = obstacle.derivatives_on_way(points, began)[:2]
+            here, normal = obstacle.derivatives_on_way(points, replace(start, rows=going[rows]))[:2]
             return here - offset[rows], unit(normal, np.zeros(3))[1]
 
         entry = entries(begin[going], end[going], gap, obstacle.finest, self.touch)
         entered = entry.any(axis=1)
-        normal = obstacle.derivatives_on_way(end[going[entered]], began)[1]
+        normal = obstacle.derivatives_on_way(end[going[entered]], replace(start, rows=going[entered]))[1]
         turned = np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
         found: Ints = going[entered][turned]
         return found

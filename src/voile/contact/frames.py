@@ -6,8 +6,9 @@ from pathlib import Path
 import igl
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.contact.field import DistanceField, another_shape
+from voile.contact.obstacle import Start
 from voile.errors import InputError
 from voile.mesh.frames import frame_before, shape_between
 
@@ -17,8 +18,9 @@ KEPT = 3  # distance fields in memory: the two of a step, and the next
 @dataclass(frozen=True)
 class Frames:
     """points (f, n, 3) m of a mesh at times 0, step, 2 step, ... (s); first: the field of the first; source: where the
-    last is from. The gap at a time between two frames is the mean of theirs, by its share; a point on the body moves
-    with the place of the mesh that is nearest to it."""
+    last is from. A point near the body moves with the place of the mesh that is nearest to it at the start of a step.
+    Its gap at a time between two frames is the mean of theirs, by its share, where that place would have it in them: so
+    a body that only moves keeps its shape, and what turns by an angle a is off by a^2 / 4 of its slip in the step."""
 
     points: Reals
     step: float
@@ -26,6 +28,7 @@ class Frames:
     source: str
     _fields: dict[int, DistanceField] = field(default_factory=dict, repr=False, compare=False)
     _trees: dict[float, tuple[Reals, igl.AABB]] = field(default_factory=dict, repr=False, compare=False)
+    _known: list[tuple[Start, Ints, Reals]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def lasts(self) -> float:
@@ -40,14 +43,14 @@ class Frames:
         """(n, 3) m."""
         return shape_between(self.points, t, self.step)
 
-    def distance(self, p: Reals, t: float) -> Reals:
-        """(n,) m."""
-        found: Reals = np.sum([weight * part.distance(p) for weight, part in self._parts(t)], axis=0)
+    def distance(self, p: Reals, t: float, start: Start | None = None) -> Reals:
+        """(n,) m; start: that of p."""
+        found: Reals = np.sum([w * part.distance(at) for w, part, at in self._parts(p, t, start)], axis=0)
         return found
 
-    def derivatives(self, p: Reals, t: float) -> tuple[Reals, Reals, Reals]:
-        """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3)."""
-        found = [[weight * d for d in part.derivatives(p)] for weight, part in self._parts(t)]
+    def derivatives(self, p: Reals, t: float, start: Start | None = None) -> tuple[Reals, Reals, Reals]:
+        """Distance (n,), its gradient (n, 3) and Hessian (n, 3, 3), with a start as it is."""
+        found = [[w * d for d in part.derivatives(at)] for w, part, at in self._parts(p, t, start)]
         gap, gradient, hessian = (np.sum(parts, axis=0) for parts in zip(*found, strict=True))
         return gap, gradient, hessian
 
@@ -55,12 +58,27 @@ class Frames:
         """(n, 3) where points near the body go with it."""
         if not len(p) or self.between(start) == self.between(end):
             return p
-        before, tree = self._tree(start)
-        corners = self.first.triangles
-        _, near, foot = tree.squared_distance(before, corners, np.ascontiguousarray(p))
-        share, moved = _shares(foot, before[corners[near]]), self.at(end) - before
-        found: Reals = p + np.einsum("pk,pki->pi", share, moved[corners[near]])
+        found: Reals = p + _at(self.at(end) - self.at(start), *self._nearest(p, start))
         return found
+
+    def _nearest(self, p: Reals, t: float) -> tuple[Ints, Reals]:
+        """The place of the mesh at a time that is nearest to each point (n, 3): the vertices (n, 3) of its triangle and
+        their shares (n, 3)."""
+        shape, tree = self._tree(t)
+        _, near, foot = tree.squared_distance(shape, self.first.triangles, np.ascontiguousarray(p))
+        corners = self.first.triangles[near]
+        return corners, _shares(foot, shape[corners])
+
+    def _way(self, k: int, start: Start) -> Reals:
+        """(n, 3) m from frame k to the next of the places that are nearest to a start, asked for again and again."""
+        known = [
+            each for each in self._known if each[0].points is start.points and each[0].time == start.time
+        ]
+        if not known:
+            known = [(start, *self._nearest(start.points, start.time))]
+            self._known[:] = [*self._known[-1:], *known]
+        _, corners, shares = known[0]
+        return _at(self.points[k + 1] - self.points[k], corners[start.rows], shares[start.rows])
 
     def _tree(self, t: float) -> tuple[Reals, igl.AABB]:
         """The points (n, 3) m at a time and a search tree of the triangles there: a step asks for its start's often."""
@@ -71,9 +89,14 @@ class Frames:
             self._trees[t] = before, tree
         return self._trees[t]
 
-    def _parts(self, t: float) -> list[tuple[float, DistanceField]]:
+    def _parts(self, p: Reals, t: float, start: Start | None) -> list[tuple[float, DistanceField, Reals]]:
+        """The frames beside a time: share, field, and where points p are in it."""
         k, share = self.between(t)
-        return [(1.0 - share, self._field(k))] + ([(share, self._field(k + 1))] if share else [])
+        if not share:
+            return [(1.0, self._field(k), p)]
+        way = self._way(k, start or Start(p, t))
+        before, after = p - share * way, p + (1.0 - share) * way
+        return [(1.0 - share, self._field(k), before), (share, self._field(k + 1), after)]
 
     def _field(self, k: int) -> DistanceField:
         if k == 0:
@@ -83,6 +106,12 @@ class Frames:
                 del self._fields[min(self._fields)]
             self._fields[k] = another_shape(self.first, self.points[k], f"frame {k} to {self.source}")
         return self._fields[k]
+
+
+def _at(values: Reals, corners: Ints, shares: Reals) -> Reals:
+    """(k, 3) of values (n, 3) of vertices, in triangles of vertices (k, 3) by shares (k, 3)."""
+    found: Reals = np.einsum("pk,pki->pi", shares, values[corners])
+    return found
 
 
 def _shares(p: Reals, corner: Reals) -> Reals:

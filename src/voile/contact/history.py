@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.contact.candidates import Candidates
+from voile.contact.obstacle import Start
 
 PER_PARTNER = ("normal", "friction", "tresca", "frozen_normal", "frozen_weight", "level", "sunk")
 
@@ -32,6 +33,10 @@ class History:
     time: float
     candidates: Candidates
     layers: Reals
+
+    def start(self, rows: slice | Ints = slice(None)) -> Start:
+        """That of some vertices, all by default."""
+        return Start(self.reference, self.time, rows)
 
     def each(self, change: Callable[[Reals], Reals]) -> "History":
         """The history with all that there is per partner changed alike."""

@@ -40,11 +40,11 @@ class ObstacleContact:
 
     def gaps(self, x: Reals, t: float, history: History) -> Reals:
         """(n,) m."""
-        return self.obstacle.gap(x, t) - self.offset - history.level[self.index]
+        return self.nearest(x, t, history) - history.level[self.index]
 
     def geometry(self, rows: Ints, x: Reals, t: float, history: History) -> Geometry:
         """That of some contacts."""
-        gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t)
+        gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t, history.start(rows))
         gap -= self.offset[rows] + history.level[self.index][rows]
         return Geometry(gap, gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
 
@@ -70,7 +70,7 @@ class ObstacleContact:
 
     def nearest(self, x: Reals, t: float, history: History) -> Reals:
         """(n,) gap (m) of each vertex."""
-        return self.obstacle.gap(x, t) - self.offset
+        return self.obstacle.gap(x, t, history.start()) - self.offset
 
     def least(self, vertex: Ints, weight: Reals, values: Array) -> Reals:
         """(n,) the least of the values (p,) of a vertex's contacts, infinite without any."""

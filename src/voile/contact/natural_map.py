@@ -142,7 +142,7 @@ class NaturalMap:
         for k, obstacle in enumerate(self.obstacles):
             if not obstacle.restitution:
                 continue
-            gap, normal, _ = obstacle.gap_derivatives(x, begin)
+            gap, normal, _ = obstacle.gap_derivatives(x, begin, self.history.start())
             gap -= np.asarray(self.offset)[k]
             nearer = -np.einsum("pi,pi->p", normal, way - (obstacle.carry(x, begin, end) - x))
             faster = -np.einsum("pi,pi->p", normal, fall)
@@ -168,7 +168,8 @@ class NaturalMap:
 
     def gap(self, k: int, x: Reals, t: float, rows: slice | Ints = slice(None)) -> Reals:
         """Gaps (m) to obstacle k of the vertices `rows`, all by default, at positions x[rows]."""
-        found: Reals = self.obstacles[k].gap(x[rows], t) - np.asarray(self.offset)[k][rows]
+        gap = self.obstacles[k].gap(x[rows], t, self.history.start(rows))
+        found: Reals = gap - np.asarray(self.offset)[k][rows]
         return found
 
     def pairs(self, x: Reals, t: float, softness: float = 1.0) -> list[Pairs]:

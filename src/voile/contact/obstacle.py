@@ -6,11 +6,21 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from voile.arrays import Reals
+from voile.arrays import Ints, Reals
 from voile.contact.motion import Motion
 from voile.contact.surfaces import Triangles
 
 SHAPES: dict[str, type["Obstacle"]] = {}  # by the scene's word, in the order of their classes
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where points are when a step starts: the rows, all by default, of points (n, 3) m at a time (s). A body that
+    deforms is asked of them which of its places they are near."""
+
+    points: Reals
+    time: float
+    rows: slice | Ints = field(default_factory=lambda: slice(None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,15 +109,17 @@ class Obstacle:
         them."""
         return self.motion.unplace(points, began), self.motion.unplace(moved, ended)
 
-    def derivatives_on_way(self, points: Reals, began: float) -> tuple[Reals, Reals, Reals]:
-        """`derivatives` at points of such ways."""
+    def derivatives_on_way(self, points: Reals, start: Start) -> tuple[Reals, Reals, Reals]:
+        """`derivatives` at points of such ways from a start."""
         return self.derivatives(points)
 
-    def gap(self, points: Reals, t: float) -> Reals:
-        """(n,) signed distance of points (n, 3)."""
+    def gap(self, points: Reals, t: float, start: Start | None = None) -> Reals:
+        """(n,) signed distance of points (n, 3). start: of the step that t is in, without one as they are."""
         return self.distance(self.motion.unplace(points, t) if self.motion.moves else points)
 
-    def gap_derivatives(self, points: Reals, t: float) -> tuple[Reals, Reals, Reals]:
+    def gap_derivatives(
+        self, points: Reals, t: float, start: Start | None = None
+    ) -> tuple[Reals, Reals, Reals]:
         """gap (n,), its gradient (n, 3) and its Hessian (n, 3, 3)."""
         if not self.motion.moves:
             return self.derivatives(points)

@@ -16,7 +16,7 @@ from voile.contact.directions import NOWHERE, TINY, lengths, normalised, perpend
 from voile.contact.field import DistanceField, check_inside, distance_field
 from voile.contact.frames import Frames, frame_files
 from voile.contact.motion import Motion
-from voile.contact.obstacle import SHAPES, Obstacle
+from voile.contact.obstacle import SHAPES, Obstacle, Start
 from voile.contact.pairs import dot, outer
 from voile.contact.surfaces import AROUND, Triangles, revolve, stretch, unit_sphere
 from voile.errors import InputError
@@ -313,11 +313,15 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
     def ends(self) -> float:
         return max(self.frames.lasts if self.frames else 0.0, self.motion.ends)
 
-    def gap(self, points: Reals, t: float) -> Reals:
-        return self.frames.distance(points, t) if self.frames else super().gap(points, t)
+    def gap(self, points: Reals, t: float, start: Start | None = None) -> Reals:
+        return self.frames.distance(points, t, start) if self.frames else super().gap(points, t)
 
-    def gap_derivatives(self, points: Reals, t: float) -> tuple[Reals, Reals, Reals]:
-        return self.frames.derivatives(points, t) if self.frames else super().gap_derivatives(points, t)
+    def gap_derivatives(
+        self, points: Reals, t: float, start: Start | None = None
+    ) -> tuple[Reals, Reals, Reals]:
+        return (
+            self.frames.derivatives(points, t, start) if self.frames else super().gap_derivatives(points, t)
+        )
 
     def carry(self, points: Reals, start: float, end: float) -> Reals:
         return self.frames.carry(points, start, end) if self.frames else super().carry(points, start, end)
@@ -328,8 +332,8 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
             return super().way(points, began, moved, ended)
         return points, moved - (self.frames.carry(points, began, ended) - points)
 
-    def derivatives_on_way(self, points: Reals, began: float) -> tuple[Reals, Reals, Reals]:
-        return self.frames.derivatives(points, began) if self.frames else self.derivatives(points)
+    def derivatives_on_way(self, points: Reals, start: Start) -> tuple[Reals, Reals, Reals]:
+        return self.frames.derivatives(points, start.time, start) if self.frames else self.derivatives(points)
 
     @classmethod
     def scene_keys(cls) -> dict[str, Field[Any]]:
