@@ -112,8 +112,7 @@ def test_it_shows_what_a_picture_shows(browser, tmp_path):
 
 
 def test_bodies_stay_under_what_lies_on_them(browser, tmp_path):
-    """Coarse cloth whose vertices lie on a ball hides it, though the middles of its triangles are inside. It showed the
-    ball through holes."""
+    """Coarse cloth whose vertices lie on a ball hides it, though the middles of its triangles are inside."""
     ball = pyvista.Icosphere(nsub=4)
     points = np.column_stack([0.5 * FLAT[:, 0], 0.5 * FLAT[:, 1], np.ones(len(FLAT))])
     points /= np.linalg.norm(points, axis=1)[:, None]
@@ -124,9 +123,8 @@ def test_bodies_stay_under_what_lies_on_them(browser, tmp_path):
             1.0, points, np.arange(25), point_data={"gap": np.ones(25)}, placements=np.eye(4)[None]
         )
     browser.open(report(tmp_path, tmp_path / "a.html", field="gap").path)
-    browser.value(
-        "[...document.querySelectorAll('#views button')].find(b => b.textContent === 'front').click()"
-    )
+    front = "[...document.querySelectorAll('#views button')].find(b => b.textContent === 'front')"
+    browser.value(f"{front}.click()")
     browser.drawn()
     covered = coloured(browser.picture("#canvas"))
     browser.value(
@@ -135,6 +133,23 @@ def test_bodies_stay_under_what_lies_on_them(browser, tmp_path):
     browser.drawn()
     alone = coloured(browser.picture("#canvas"))
     assert alone > 0.05 and covered > 0.999 * alone
+
+
+def test_a_body_deforms_with_the_steps(browser, tmp_path):
+    ball = pyvista.Icosphere(nsub=1)
+    frames = np.array([ball.points, 2.0 * ball.points, 2.0 * ball.points + 1.0], dtype=float)
+    body = Body("", 0.3, frames[0], ball.regular_faces, frames, 0.25)
+    mesh = StaticMesh(FLAT, TRIANGLES, bodies=(body,))
+    with ResultWriter(tmp_path / "result.vtkhdf", MPI.COMM_SELF, mesh=mesh, scene_text="[scene]") as writer:
+        for at in STEPS:
+            writer.write_step(at, FLAT, np.arange(25), placements=np.eye(4)[None])
+    browser.open(report(tmp_path, tmp_path / "a.html", field="displacement").path)
+    found = browser.value(
+        "readArrays().then(read => { const v = new Viewer(JSON.parse(element('page-data').textContent), read);"
+        "const shape = (step) => { v.show({step, field: 'displacement'}); return v.bodies[0].made.geometry; };"
+        "return v.meta.steps.map((_, k) => Array.from(shape(k).attributes.position.array)); })"
+    )
+    np.testing.assert_allclose(found, [body.shape(at)[body.triangles].ravel() for at in STEPS], atol=1e-4)
 
 
 def test_places_are_the_results(page, run):

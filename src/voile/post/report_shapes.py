@@ -31,6 +31,7 @@ ROOM = 0.92  # of what there is place for, aimed at: a page a little too large i
 GROWTHS = 3  # times that more steps are tried
 ARROW_LEVELS = 32767
 FINEST_BODY = 20_000  # triangles of an obstacle: some 150 kB, and finer than a picture of the shape shows
+MOST_FRAMES = 400_000  # those of one that deforms, of all steps together: about 1 MB
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def _encode(result: Result, part: Part, count: int) -> Shown:
         "numbers": arrays.add(part.vertices.reshape(1, -1).astype("<u4")),
         "points": {"data": arrays.add(flat), **grid},
         "boundary": arrays.add(boundary_edges(part.triangles).reshape(1, -1).astype("<u4")),
-        "start": _still(arrays, result.start[part.vertices], part.triangles),
+        "start": _mesh(arrays, result.start[None, part.vertices], part.triangles),
         "rest": _rest(result, part, arrays),
         "steps": [*said, *(swing.figure(result, mode) for mode in modes)],
         "fields": fields,
@@ -146,19 +147,19 @@ def opening(result: Result, field: str | None) -> dict[str, Any]:
     return {"field": MODE, "first": modes.index(name) - len(modes)}
 
 
-def _still(arrays: Arrays, points: Reals, triangles: Ints) -> dict[str, Any]:
-    """A mesh that no step changes."""
-    flat, grid = places(points[None])
+def _mesh(arrays: Arrays, points: Reals, triangles: Ints) -> dict[str, Any]:
+    """A mesh with its points at every step (steps, n, 3) m, or (1, n, 3) where no step changes it."""
+    flat, grid = places(points)
     return {"data": arrays.add(flat), **grid, "triangles": arrays.add(triangles.reshape(1, -1).astype("<u4"))}
 
 
 def _rest(result: Result, part: Part, arrays: Arrays) -> dict[str, Any] | None:
     """The rest shape; none where it has vertices of its own and the page's mesh has fewer."""
     if np.array_equal(result.rest_triangles, result.triangles):
-        return _still(arrays, result.rest[part.vertices], part.triangles)
+        return _mesh(arrays, result.rest[None, part.vertices], part.triangles)
     if len(part.triangles) < result.n_cells:
         return None
-    return _still(arrays, result.rest, result.rest_triangles)
+    return _mesh(arrays, result.rest[None], result.rest_triangles)
 
 
 def _field(result: Result, part: Part, name: str, steps: Ints, arrays: Arrays) -> dict[str, Any]:
@@ -219,17 +220,19 @@ def _reactions(result: Result, part: Part, steps: Ints, arrays: Arrays) -> dict[
 
 
 def _bodies(result: Result, steps: Ints, arrays: Arrays) -> list[dict[str, Any]]:
-    """The obstacles, placed anew at every step; marks make turning show."""
+    """The obstacles, placed anew at every step, and shaped where they deform; marks make turning show."""
     placements = np.array([result.placements(int(k)) for k in steps])
     found = []
     for k, (body, marks) in enumerate(zip(result.bodies, contact.turning_marks(result, steps), strict=True)):
         matrices = placements[:, k].reshape(len(steps), 16)
         still = np.array_equal(matrices, np.broadcast_to(matrices[0], matrices.shape))
-        points, triangles = body.points, body.triangles
-        if len(triangles) > FINEST_BODY:
-            kept, triangles = _decimated(points, triangles, FINEST_BODY / len(triangles))
-            points, marks = points[kept], None if marks is None else marks[kept]
-        shape = {"name": body.name, "friction": body.friction, **_still(arrays, points, triangles)}
+        deforms, triangles = body.frames is not None, body.triangles
+        points = np.array([body.shape(at) for at in result.values[steps if deforms else steps[:1]]])
+        finest = min(FINEST_BODY, MOST_FRAMES // len(points)) if deforms else FINEST_BODY
+        if len(triangles) > finest:
+            kept, triangles = _decimated(points[0], triangles, finest / len(triangles))
+            points, marks = points[:, kept], None if marks is None else marks[kept]
+        shape = {"name": body.name, "friction": body.friction, **_mesh(arrays, points, triangles)}
         shape["placements"] = matrices[: 1 if still else None].tolist()
         if marks is not None:
             shape["marks"] = arrays.add(levels(marks[None], *(np.abs(marks).max() * np.array([-1.0, 1.0]))))

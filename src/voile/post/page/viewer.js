@@ -177,11 +177,11 @@ function lines(colour) {
   return made;
 }
 
-/** A still mesh of the page: its triangles and points. */
-function stillMesh(still, read) {
-  const values = read(still.data);
-  const n = values.length / 3;
-  return { triangles: read(still.triangles), points: unpackPoints({ values, ...still }, 0, n) };
+/** A mesh of the page: its triangles, its points at the first step, and how to get those of a step, if it has several. */
+function readMesh(mesh, read) {
+  const places = { values: read(mesh.data), ...mesh };
+  const at = (step) => unpackPoints(places, step, mesh.data.columns / 3);
+  return { triangles: read(mesh.triangles), points: at(0), at: mesh.data.rows > 1 ? at : null };
 }
 
 /** Arrows as strokes with two barbs: tails (3 n) and shares of the longest, all x first. */
@@ -211,7 +211,7 @@ class Viewer {
     this.boundary = read(meta.boundary);
     this.numbers = read(meta.numbers);
     this.places = { values: read(meta.points.data), ...meta.points };
-    this.stills = Object.fromEntries(["start", "rest"].filter((s) => meta[s]).map((s) => [s, stillMesh(meta[s], read)]));
+    this.stills = Object.fromEntries(["start", "rest"].filter((s) => meta[s]).map((s) => [s, readMesh(meta[s], read)]));
     this.fields = new Map(meta.fields.map((field) => [field.name, field]));
     this.maps = Object.fromEntries(Object.entries(meta.maps).map(([name, hexes]) => [name, mapTexture(hexes, name !== "contact")]));
     const renderer = new THREE.WebGLRenderer({ canvas: element("canvas"), antialias: true, preserveDrawingBuffer: true });
@@ -236,16 +236,19 @@ class Viewer {
   }
 
   addBody(body) {
-    const { points, triangles } = stillMesh(body, this.read);
+    const { points, triangles, at } = readMesh(body, this.read);
     const colours = mapTexture([this.meta.colours.mark, this.meta.colours.body], false);
     const made = surface(colours, 2, CHORD * meanEdge(this.stills.start.points, this.triangles));
     const marks = body.marks ? this.read(body.marks) : new Uint8Array(points.length / 3).fill(254);
-    setAttribute(made.geometry, "position", expand(points, triangles), 3);
-    setAttribute(made.geometry, "normal", creasedNormals(points, triangles, Math.cos((40 * Math.PI) / 180)), 3);
+    const shape = (corners) => {
+      setAttribute(made.geometry, "position", expand(corners, triangles), 3);
+      setAttribute(made.geometry, "normal", creasedNormals(corners, triangles, Math.cos((40 * Math.PI) / 180)), 3);
+    };
+    shape(points);
     setAttribute(made.geometry, "shade", shades(marks, triangles, false), 3, true);
     made.matrixAutoUpdate = false;
     this.scene.add(made);
-    return { made, placements: body.placements };
+    return { made, placements: body.placements, deform: at && ((step) => shape(at(step))) };
   }
 
   /** Shows a step, a field and a shape; what is not named stays. */
@@ -277,7 +280,8 @@ class Viewer {
       this.arrows.geometry = new THREE.BufferGeometry();
       setAttribute(this.arrows.geometry, "position", strokes, 3);
     }
-    for (const { made, placements } of this.bodies) {
+    for (const { made, placements, deform } of this.bodies) {
+      deform?.(step);
       made.visible = this.withBodies && shape !== "rest"; // the rest shape need not be where they are
       made.matrix.set(...placements[Math.min(step, placements.length - 1)]);
       made.matrixWorldNeedsUpdate = true;
