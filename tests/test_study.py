@@ -1,72 +1,18 @@
-"""`voile study` through the command line: known rates, the same tables again, kills, lists, and refusals."""
-
-import csv
-import fcntl
-import json
-import os
-import signal
-import subprocess
-import time
-from pathlib import Path
+"""`voile study` through the command line: known rates, lists, and refusals."""
 
 import pytest
 from command_line import refused, voile
 from mesh_helpers import generator
-from test_cli import VOILE, program
+from studies import HEAD, POINT, THREE, TIP, done, place, table
+from test_cli import program
 
 from voile.mesh import write_obj
-
-TIP = -0.700199715514355  # drop of the elastica's tip, gamma = 10 (runs/cantilever)
-SCENE = """
-[shell]
-mesh = "strip.obj"
-young = 1.0e6
-poisson = 0.0
-thickness = 1.0e-3
-density = 1000.0
-[loads]
-gravity = [0.0, 0.0, -8.333333333333333e-4]
-[[fix]]
-select = { box = [[-1e-6, -1.0, -1.0], [1e-6, 1.0, 1.0]] }
-clamp = true
-[statics]
-load_steps = 1
-"""
-POINT = """
-[[point]]
-name = "tip"
-select = { box = [[0.999999, -1.0, -1.0], [1.000001, 1.0, 1.0]] }
-axis = "z"
-"""
-HEAD = '[study]\nscene = "scene.toml"\nrepeats = 1\n'
-# Columns that two runs may not share.
-TIMES = {"seconds", "wall_seconds", "cpu_seconds", "memory_mib", "repeats", "front"}
 
 
 @pytest.fixture
 def study(tmp_path):
     """study(text): writes study.toml beside the scene of a coarse strip."""
-    points, triangles = generator("strip").strip(length=1.0, width=0.1, size=0.1)
-    write_obj(tmp_path / "strip.obj", points, triangles)
-    (tmp_path / "scene.toml").write_text(SCENE)
-
-    def write(text: str) -> Path:
-        (tmp_path / "study.toml").write_text(text)
-        return tmp_path / "study.toml"
-
-    return write
-
-
-def done(path, out, *options):
-    run = program("study", path, "-o", out, *options)
-    assert run.returncode == 0, run.stderr
-    return json.loads((out / "study.json").read_text())
-
-
-def table(out, *, timeless=False):
-    with open(out / "study.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not (timeless and k in TIMES)} for row in rows]
+    return place(tmp_path)
 
 
 def series_of(report, **settings):
@@ -122,104 +68,6 @@ def test_a_finest_run_as_reference(study, tmp_path):
     assert {row["run"] for row in report["pareto"]} <= {"refine=0", "refine=1"}
 
 
-FRONT = f'{HEAD}measure = "tip"\nreference = {TIP}\n[vary]\nrefine = [0, 2, 4]\n{POINT}'
-
-
-def test_two_studies_find_the_same(study, tmp_path):
-    path = study(FRONT.replace("repeats = 1", 'repeats = 3\nclock = "cpu"'))
-    one, other = (done(path, tmp_path / name) for name in ("one", "other"))
-    assert table(tmp_path / "one", timeless=True) == table(tmp_path / "other", timeless=True)
-    assert [r["run"] for r in one["pareto"]] == [r["run"] for r in other["pareto"]]
-    assert [r["run"] for r in one["recommended"]] == [r["run"] for r in other["recommended"]]
-
-
-def test_a_killed_study_goes_on_to_the_same_table(study, tmp_path):
-    path = study(FRONT)
-    done(path, tmp_path / "whole")
-    with subprocess.Popen(
-        [*VOILE, "study", path, "-o", tmp_path / "killed"], stderr=subprocess.PIPE, text=True
-    ) as going:
-        assert going.stderr is not None and going.stderr.readline().startswith("refine=0: ")
-        time.sleep(0.3)  # within the second run
-        os.kill(going.pid, signal.SIGKILL)
-    assert going.returncode == -signal.SIGKILL
-    again = program("study", path, "-o", tmp_path / "killed")
-    assert again.returncode == 0, again.stderr
-    assert again.stderr.splitlines()[0].endswith(", known")
-    assert table(tmp_path / "killed", timeless=True) == table(tmp_path / "whole", timeless=True)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_study_leaves_no_half_run(number, study, tmp_path):
-    path = study(FRONT.replace("4]", "5]"))
-    with subprocess.Popen(
-        [*VOILE, "study", path, "-o", tmp_path / "out"], stderr=subprocess.PIPE, text=True
-    ) as going:
-        assert going.stderr is not None and going.stderr.readline().startswith("refine=0: ")
-        time.sleep(0.3)
-        os.kill(going.pid, number)
-        told = going.stderr.read()
-    assert going.returncode == 3 and told.endswith("out, the same command goes on\n"), told
-    records = [json.loads(p.read_text()) for p in (tmp_path / "out" / "runs").glob("*/run.json")]
-    assert records and all(record["status"] == "converged" for record in records)
-
-
-def test_a_run_by_itself_that_is_stopped_takes_its_program_along(study, tmp_path):
-    path, runs = study(FRONT.replace("4]", "6]")), tmp_path / "out" / "runs"
-    with subprocess.Popen(
-        [*VOILE, "study", path, "-o", tmp_path / "out", "--run", "3"], stderr=subprocess.PIPE, text=True
-    ) as going:
-        while not list(runs.glob("*/log.txt")):
-            time.sleep(0.02)
-        going.send_signal(signal.SIGTERM)
-        assert going.stderr is not None and "the same command goes on" in going.stderr.read()
-    assert going.returncode == 3 and not list(runs.glob("*/run.json"))
-    (lock,) = runs.glob("*.lock")
-    with open(lock) as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which the program would hold
-
-
-def test_runs_by_themselves_are_collected_later(study, tmp_path):
-    path = study(FRONT)
-    listed = program("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
-    assert len(listed) == 3 and listed[1].endswith("--run 2")
-    subprocess.run(
-        f"{listed[1]} & {listed[1]} & wait", shell=True, check=True, capture_output=True, timeout=60
-    )
-    left = program("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
-    assert left == [listed[0], listed[2]]
-    again = program("study", path, "-o", tmp_path / "out")
-    assert again.returncode == 0
-    assert [line.endswith("known") for line in again.stderr.splitlines()] == [False, True, False]
-
-
-def test_what_decides_a_result_decides_what_runs_again(study, tmp_path):
-    path = study(FRONT)
-    done(path, tmp_path / "out")
-
-    def again():
-        return [
-            line.endswith("known")
-            for line in program("study", path, "-o", tmp_path / "out").stderr.splitlines()
-        ]
-
-    (tmp_path / "scene.toml").write_text("# a remark\n" + SCENE)
-    assert again() == [True] * 3
-    study(FRONT.replace("[0, 2, 4]", "[0, 1]").replace('measure = "tip"', 'measure = ["tip"]'))
-    assert again() == [True, False]
-    points, triangles = generator("strip").strip(length=1.0, width=0.1, size=0.05)
-    write_obj(tmp_path / "strip.obj", points, triangles)
-    assert again() == [False, False]
-
-
-def test_a_new_measure_needs_no_new_run(study, tmp_path):
-    done(study(FRONT), tmp_path / "out")
-    study(FRONT.replace('"tip"\nreference', '"max_displacement"\nreference'))
-    run = program("study", tmp_path / "study.toml", "-o", tmp_path / "out")
-    assert run.returncode == 0 and all(line.endswith("known") for line in run.stderr.splitlines())
-    assert 0.6 < float(table(tmp_path / "out")[0]["max_displacement"]) < 0.9
-
-
 def test_what_fails_is_a_row_with_its_reason(study, tmp_path):
     spec = f"""{HEAD}measure = "tip"
 reference = {TIP}
@@ -253,13 +101,6 @@ def test_all_runs_fail(study, tmp_path):
     spec = f'{HEAD}measure = "tip"\nreference = 1.0\n[[case]]\n{case}{POINT}'
     run = program("study", study(spec), "-o", tmp_path / "out")
     assert run.returncode == 3 and "load factor 0.25" in run.stdout
-
-
-def test_a_run_that_takes_too_long_is_ended(study, tmp_path):
-    text = FRONT.replace("repeats", "max_seconds = 5.0\nrepeats").replace("4]", "7]")
-    run = program("study", study(text), "-o", tmp_path / "out")
-    assert run.returncode == 0
-    assert table(tmp_path / "out")[2]["status"] == "too long"
 
 
 def test_ranks_and_meshes_vary_too(study, tmp_path):
@@ -390,7 +231,7 @@ def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):
 
 
 def test_other_bad_input(study, tmp_path):
-    path = study(FRONT)
+    path = study(THREE)
     refused(voile("study", tmp_path / "none.toml"), "none.toml: no such file")
     refused(voile("study", path, "-o", tmp_path / "out", "--jobs", "0"), "--jobs 0")
     refused(voile("study", path, "-o", tmp_path / "out", "--run", "4"), "--run 4", "1 to 3")

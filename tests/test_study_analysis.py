@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import refused, voile
-from test_study import POINT, SCENE
+from studies import POINT, SCENE
 
 from voile.errors import InputError
 from voile.mesh import read_mesh, refine, write_obj
