@@ -2,20 +2,43 @@
 
 import contextlib
 import io
+import runpy
 import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
 
 from voile.cli import main
 
 
 def voile(*args: object, cwd: object = ".") -> subprocess.CompletedProcess[str]:
     """`voile args`, in a folder. What PETSc itself prints is not caught."""
-    out, said, words = io.StringIO(), io.StringIO(), [str(arg) for arg in args]
-    with contextlib.chdir(cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(said):
+    words = [str(arg) for arg in args]
+    with contextlib.chdir(cwd):
+        return _caught(words, lambda: main(words))
+
+
+def script(*args: object) -> subprocess.CompletedProcess[str]:
+    """`python args`, of which the first is a file."""
+    words = [str(arg) for arg in args]
+
+    def run() -> None:
+        folders = [str(Path(words[0]).parent), *sys.path]
+        with mock.patch.object(sys, "argv", words), mock.patch.object(sys, "path", folders):
+            runpy.run_path(words[0], run_name="__main__")
+
+    return _caught(words, run)
+
+
+def _caught(words: list[str], run: Callable[[], int | None]) -> subprocess.CompletedProcess[str]:
+    out, said = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(said):
         try:
-            code = main(words)
+            code = run()
         except SystemExit as ended:  # of argparse
             code = ended.code
-    return subprocess.CompletedProcess(words, code, out.getvalue(), said.getvalue())
+    return subprocess.CompletedProcess(words, code or 0, out.getvalue(), said.getvalue())
 
 
 def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:

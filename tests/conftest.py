@@ -4,12 +4,12 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from command_line import voile  # also chooses the BLAS before a test imports numpy
+from command_line import script, voile  # also chooses the BLAS before a test imports numpy
+from crew import Crew
 
 # What an MPI process tells its children: with it, an mpirun started from here takes itself for one of the
 # parent's ranks and fails without a message (a test that imports mpi4py makes pytest such a process).
@@ -36,21 +36,34 @@ def patient(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
+@pytest.fixture(scope="session")
+def environment(patient: Path) -> dict[str, str]:
+    """What ranks beside other workers of the suite need."""
+    # Those that wait give way, no two runs are bound to the same processor, and (with `patient`) a run of two ranks
+    # beside five busy processes takes 27 s for 250.
+    return {
+        "OPENBLAS_NUM_THREADS": "1",
+        "LD_PRELOAD": str(patient),
+        "OMPI_MCA_mpi_yield_when_idle": "1",
+        "OMPI_MCA_hwloc_base_binding_policy": "none",
+        "OMPI_MCA_btl_vader_single_copy_mechanism": "none",  # containers forbid reading another process
+    }
+
+
+def unmarked() -> dict[str, str]:
+    """The environment, without what MPI told this process."""
+    return {k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)}
+
+
 @pytest.fixture
-def mpirun(launcher: list[str], patient: Path) -> MpiRun:
+def mpirun(launcher: list[str], environment: dict[str, str]) -> MpiRun:
     """mpirun(ranks, args, timeout): runs args on that many ranks, returns the completed process (text)."""
 
     def run(ranks: int, args: Sequence[str], timeout: float) -> subprocess.CompletedProcess[str]:
-        env = {k: v for k, v in os.environ.items() if not k.startswith(MPI_PREFIXES)}
-        env |= {"OPENBLAS_NUM_THREADS": "1", "LD_PRELOAD": str(patient)}
-        # Beside other workers of the suite: ranks that wait give way, no two runs are bound to the same processor, and
-        # (with `patient`) a run of two ranks beside five busy processes takes 27 s for 250.
-        env |= {"OMPI_MCA_mpi_yield_when_idle": "1", "OMPI_MCA_hwloc_base_binding_policy": "none"}
-        env["OMPI_MCA_btl_vader_single_copy_mechanism"] = "none"  # containers forbid reading another process
         command = [*launcher, "-n", str(ranks), *map(str, args)]
         with subprocess.Popen(
             command,
-            env=env,
+            env=unmarked() | environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -66,16 +79,44 @@ def mpirun(launcher: list[str], patient: Path) -> MpiRun:
     return run
 
 
+@pytest.fixture(scope="session")
+def crews(
+    launcher: list[str], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[int], Crew]]:
+    """crews(ranks): that many ranks, which stay until the session ends."""
+    made: dict[int, Crew] = {}
+
+    def crew(ranks: int) -> Crew:
+        if ranks not in made or not made[ranks].there:
+            made[ranks] = Crew(launcher, ranks, unmarked() | environment, tmp_path_factory.mktemp("crew"))
+        return made[ranks]
+
+    yield crew
+    for each in made.values():
+        each.end()
+
+
 @pytest.fixture
-def run_on(mpirun: MpiRun) -> Callable[..., None]:
+def run_on(crews: Callable[[int], Crew]) -> Callable[..., None]:
     """run_on(ranks, scene, out, timeout=120): runs a scene on that many ranks, on one in this process; it must
     succeed."""
 
     def run(ranks: int, scene: Path, out: Path, timeout: float = 120) -> None:
         words = ["run", scene, "-o", out]
-        alone = ranks == 1
-        done = voile(*words) if alone else mpirun(ranks, [sys.executable, "-m", "voile.cli", *words], timeout)
+        done = voile(*words) if ranks == 1 else crews(ranks).run("voile", words, timeout)
         assert done.returncode == 0, done.stderr
+
+    return run
+
+
+@pytest.fixture
+def script_on(crews: Callable[[int], Crew]) -> Callable[..., str]:
+    """script_on(ranks, file, *args): what a Python file prints on that many ranks; it must succeed."""
+
+    def run(ranks: int, *words: object) -> str:
+        done = script(*words) if ranks == 1 else crews(ranks).run("script", words, 300)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
 
     return run
 
