@@ -122,3 +122,14 @@ def test_a_stray_word_is_bad_input(run):
     assert done.stderr == (
         "voile: PETSc options after --: 'snes_monitor' is neither an option (-name) nor the value of one\n"
     )
+
+
+@pytest.mark.parametrize("words", ["explain scene.toml", "validate incline --quick"])
+@pytest.mark.usefixtures("run")
+def test_a_reader_that_has_read_enough_is_no_crash(tmp_path, words):
+    """To PETSc's own handler it is one, which ends MPI."""
+    command = [sys.executable, "-m", "voile.cli", *words.split()]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=tmp_path, text=True, **pipes) as process:
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == ("", 0)

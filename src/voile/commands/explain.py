@@ -16,5 +16,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Prints the terms, unknowns, solver and memory of a scene."""
     from voile.explain import explain
+    from voile.petsc_options import start_petsc
 
+    start_petsc()
     print(printable(explain(*load(args))))

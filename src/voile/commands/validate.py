@@ -46,12 +46,14 @@ def _perform(chosen: Sequence[Protocol], args: argparse.Namespace) -> None:
     from mpi4py import MPI
 
     from voile.files import made, prove
+    from voile.petsc_options import start_petsc
     from voile.results.summary import write_summary
     from voile.tasks.run import versions
     from voile.validate import Bench, perform, report
 
     if MPI.COMM_WORLD.size > 1:
         raise InputError(f"validate: {MPI.COMM_WORLD.size} ranks; allowed: one process")
+    start_petsc()
     made(args.output)
     if args.json:
         prove(args.json)
