@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from everyday import HOLDS, LEAST, MOST, OBSTACLES, dragged_strip, everyday
 from everyday_runs import Ending, end, faults, run, study
+from followed import Follower
 from hinges import crossings, fold_angles, inside_out
 from mesh_helpers import generator
 
@@ -53,6 +54,19 @@ def test_fold_angles_of_a_rolled_sheet():
         chosen = np.abs(angles) > 1e-9
         assert angles[chosen] == pytest.approx(sign * np.full(chosen.sum(), 0.5), abs=1e-9)
         assert chosen.sum() == 9 * 2 and not len(inside_out(rolled, t))
+
+
+def test_a_hinge_that_snaps_through_flat_is_told_from_one_that_turns_over():
+    t, follower = np.array([[0, 1, 2], [1, 0, 3]]), Follower()
+    for way, passed in ([0, 100, 0, -100], False), ([90, 170, 200], True):
+        shapes = [
+            np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -np.cos(a), np.sin(a)]])
+            for a in np.radians(way)
+        ]
+        assert crossings(fold_angles(shapes[1], t), fold_angles(shapes[-1], t))
+        for shape in shapes:
+            follower.see(shape, t)
+        assert follower.passed == [passed]
 
 
 def test_a_run_without_end_is_killed(tmp_path):
