@@ -1,6 +1,7 @@
 """PETSc's options as a user gives them (after `--`, in PETSC_OPTIONS or ~/.petscrc), and those that nothing used."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,7 +35,9 @@ def start_petsc(arguments: Sequence[str] = ()) -> None:
     without_launcher()
     import petsc4py
 
-    petsc4py.init(["voile", *arguments])
+    # Each call has one more collective end; ranks that called it more often than others would wait there for ever.
+    if "petsc4py.PETSc" not in sys.modules:
+        petsc4py.init(["voile", *arguments])
     from petsc4py import PETSc
 
     if not PETSc.Options().hasName(
