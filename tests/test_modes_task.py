@@ -197,6 +197,39 @@ def test_obstacles(scene, tmp_path):
     assert touching.any() and found[1] > 1.5 * found[0]
 
 
+def strip_on_a_box(held):
+    """A strip of six cells whose last one hangs over the edge of a box, or is held up to there."""
+    points, triangles = sheet(6, 1, 0.2, 0.02)
+    box = {"shape": "box", "center": [0.08, 0.01, -0.0505], "sizes": [0.09, 0.05, 0.05], "friction": 0.5}
+    inside = {"obstacle": [box]} if not held else {"fix": [{"select": {"box": [[-1, -1, -1], [0.17, 1, 1]]}}]}
+    return {
+        "scene": {"task": "modes"},
+        "shell": {"mesh": (points, triangles), "young": 1e8, "thickness": 1e-3, "density": 800.0},
+        "loads": {"gravity": [0.0, 0.0, -9.81]},
+        "modes": {"count": 6 if held else 8},
+        **inside,
+    }
+
+
+def test_springs_that_hold_contacts_have_no_modes():
+    """Where contacts hold all but six displacements there are six modes (before: also their springs')."""
+    import voile
+
+    resting, held = (voile.run(strip_on_a_box(held)).summary for held in (False, True))
+    assert resting["contact"]["stick"] == 12
+    assert "only 6 modes of 8" in resting["notes"][0]
+    np.testing.assert_allclose(resting["modes"]["frequencies"], held["modes"]["frequencies"], rtol=1e-5)
+
+
+def test_what_contacts_hold_everywhere_does_not_vibrate():
+    import voile
+
+    scene = strip_on_a_box(False)
+    scene["obstacle"][0]["sizes"] = [0.5, 0.05, 0.05]
+    with pytest.raises(voile.NotConverged, match="contacts hold the shell everywhere"):
+        voile.run(scene)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

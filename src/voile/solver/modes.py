@@ -67,6 +67,9 @@ def vibrations(
         square.pointwiseMult(mode, mode)
         if abs(values[k]) * square.dot(weight) <= NOISE * np.finfo(float).eps * square.dot(scale):
             values[k] = 0.0
+    if problem.contact:
+        own = _of_the_shell(problem, y, values, modes)
+        values, modes = values[own], [modes[k] for k in own]
     return Modes(values, pencil.shapes(values, modes))
 
 
@@ -108,6 +111,21 @@ def _tangent(problem: Problem, y: PETSc.Vec) -> PETSc.Mat:
         return contact_tangent(problem, y, matrix)
     problem.tangent(y, matrix)
     return matrix
+
+
+def _of_the_shell(problem: Problem, y: PETSc.Vec, values: Reals, modes: list[PETSc.Vec]) -> list[int]:
+    """Which vibrations the shell carries. Contacts are held by springs, so to each direction that they hold belongs a
+    mode as well: it has most of its energy in them, a shell's nearly none, and it is none of an exact constraint."""
+    free, mass, product = problem.create_matrix(), problem.mass_matrix(rotary=False), problem.create_vector()
+    problem.tangent(y, free, "exact")
+    own = []
+    for k, mode in enumerate(modes):
+        free.mult(mode, product)
+        carried = mode.dot(product)
+        mass.mult(mode, product)
+        if values[k] <= 0.0 or carried >= 0.5 * values[k] * mode.dot(product):
+            own.append(k)
+    return own
 
 
 def _geometric(problem: Problem, y: PETSc.Vec, stiffness: PETSc.Mat, solver: LinearSolver) -> PETSc.Mat:

@@ -37,10 +37,12 @@ def run(job: Run) -> str:
     if not len(modes.values):
         path.converged, path.reason = (
             False,
-            "modes.buckling: nothing buckles under these loads, at any factor above 0",
+            "modes.buckling: nothing buckles under these loads, at any factor above 0"
+            if spec.buckling
+            else "modes: contacts hold the shell everywhere, so nothing vibrates",
         )
     figures = modes.values if spec.buckling else modes.frequencies
-    path.stable = spec.buckling or bool(modes.values.min() >= 0.0)
+    path.stable = spec.buckling or bool(modes.values.min(initial=0.0) >= 0.0)
     _tell(job, figures)
     job.summarise(problem, path, modes={"buckling" if spec.buckling else "frequencies": figures})
     return "" if path.converged else path.reason
