@@ -2,6 +2,8 @@
 
 import json
 import sys
+import tomllib
+from pathlib import Path
 from xml.etree import ElementTree
 
 import ezdxf
@@ -10,7 +12,9 @@ import pytest
 import shapely
 from mesh_helpers import areas, generator, loops_of
 from pattern_shapes import gores, skirt
+from scipy.spatial import cKDTree
 
+import voile
 from voile.cli import main
 from voile.errors import InputError, NotConverged
 from voile.inverse.flatten import flatten
@@ -146,6 +150,28 @@ def test_ease_of_symmetric_panels_is_what_was_asked_for():
     )
     eased = [seam for seam in pattern.seams if seam.ease]
     assert len(eased) == 2 and max(seam.mismatch for seam in eased) < 2e-8 and pattern.symmetrised > 1e-4
+
+
+def test_what_is_asked_of_one_half_holds_for_the_other(flat):
+    """Ease on one side alone was halved by the mean of both; an allowance stayed on its side."""
+    side = flat.panels.vertex[flat.panels.vertex_panel == flat.panels.names.index("right")]
+    wishes = (
+        SeamRule(("right", "front"), 0.02, ease=0.015),
+        SeamRule(("right",), 0.03, vertices=side),
+        SeamRule(("left", "back"), 0.004),
+        SeamRule(("right", "back"), 0.006),
+    )
+    pattern = make_pattern(flat, rules=Rules(seams=wishes, symmetric=0))
+    told = {frozenset(pattern.pieces[k].name for k in seam.pieces): seam for seam in pattern.seams}
+    for name in ("left", "right"):
+        seam = told[frozenset((name, "front"))]
+        assert (seam.allowance, abs(seam.ease)) == (0.02, 0.015) and seam.mismatch < 2e-8
+    assert [told[frozenset((n, "back"))].allowance for n in ("left", "right")] == [0.004, 0.006]
+    for piece in (p for p in pattern.pieces if p.name in ("left", "right")):
+        assert piece.points[:, 1].min() - piece.cut[0][:, 1].min() == pytest.approx(0.03, abs=2e-3)
+    contrary = (wishes[0], SeamRule(("left", "front"), ease=0.01))
+    with pytest.raises(InputError, match="allowed with pattern.symmetric: one value, and none where left"):
+        make_pattern(flat, rules=Rules(seams=contrary, symmetric=0))
 
 
 def test_ease_makes_one_side_longer(flat, tmp_path):
@@ -329,6 +355,26 @@ def test_symmetric_panels_are_those_that_are_proved(tmp_path, mpirun):
         assert told["pattern"]["symmetric"]["moved"] < 1e-12 and len(told["pattern"]["panels"]) == 4
         sags.append(told["sag"])
     assert sags[0] == pytest.approx(sags[1], rel=1e-5) and sags[0] < 0.05
+
+
+def test_eased_panels_are_those_that_are_proved(tmp_path):
+    """The sag is that of the panels as they are written: it was that of panels without the ease."""
+    path = scene(
+        tmp_path,
+        '[[pattern.seam]]\nbetween = ["front", "left"]\nease = 0.01\n[pattern]\nsymmetric = "x"\n',
+        0.1,
+    )
+    text = Path(path).read_text().replace('method = "direct"', 'developable = "panels"\niterations = 1')
+    Path(path).write_text(text.replace("[shell]", "[shell]\nseam_bending = true"))
+    assert main(["run", path, "-o", str(tmp_path / "out")]) == 0
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())["inverse"]
+    target = read_mesh(tmp_path / "skirt.obj").points
+    table = tomllib.loads(text) | {"scene": {}, "statics": {"nested": False}}
+    del table["inverse"], table["pattern"]
+    table["shell"] |= {"mesh": str(tmp_path / "out" / "rest.obj"), "rest": "flat", "seam_bending": True}
+    away = cKDTree(target).query(voile.run(table).positions)[0].max()
+    assert told["sag"] == pytest.approx(away / np.linalg.norm(np.ptp(target, axis=0)), rel=0.01)
+    assert told["sag"] > 1e-3 and sum(seam["ease"] != 0 for seam in told["pattern"]["seams"].values()) == 2
 
 
 def test_a_real_dress_of_fourteen_panels_becomes_seven_pairs(shared, tmp_path):

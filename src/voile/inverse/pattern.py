@@ -17,7 +17,7 @@ from voile.inverse.flatten import FlatPanels
 from voile.inverse.grain import grains
 from voile.inverse.panels import Panels, Seam
 from voile.inverse.rules import NO_RULES, Rules, allowances, check_rules
-from voile.inverse.symmetric import mirror_map, partners, symmetrised
+from voile.inverse.symmetric import mirror_map, mirrored_rules, partners, symmetrised
 from voile.mesh import METRES, Notches, Pattern, Piece, SewnSeam, Stitches, write_obj
 
 UP = (0.0, 1.0, 0.0)
@@ -52,6 +52,7 @@ def make_pattern(
         mirrors = tuple(partners(panels, mirror))
         even, moved = symmetrised(panels, flat.coordinates, mirror)
         flat = replace(flat, coordinates=even)  # ease is then that of the panels as they are cut
+        rules = mirrored_rules(panels, rules, mirror)
     flat = add_ease(flat, rules.seams)
     x = flat.coordinates.copy()
     for k, along in enumerate(grains(flat, grain, rules.panels)):

@@ -324,13 +324,14 @@ def solve_panels(
     *,
     layers: Layers | None = None,
     even: Callable[[Reals], Reals] | None = None,
+    ease: Callable[[Reals], Reals] | None = None,
     told: Told | None = None,
     journal: Journal | None = None,
 ) -> tuple[InverseResult, Reals]:
     """As `solve_inverse` with flat panels (rank 0), the problem's rest shape, whose 2D coordinates are the design
     variables: the panels that drape nearest to the target, and their coordinates (p, 2) m; told.found takes these
     and those that the search starts from. even: makes coordinates symmetric, on all ranks; the search starts from such
-    panels, and such are proved."""
+    panels, and such are proved. ease: gives those that were found the ease of their seams, before they are proved."""
     options, told, began = options or InverseOptions(), told or Told(), time.perf_counter()
     target = Target(problem, shell, obstacles, offset, options.contact_tolerance, options.friction, layers)
     search = Search(target, options, told, journal or Journal())
@@ -343,8 +344,10 @@ def solve_panels(
     target.release()
     simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels, search.clock.over)
     z = adjoint.rest
-    if even:
-        panels.take(z, even(panels.coordinates(z)))
+    for change in (even, ease):
+        if change:
+            panels.take(z, change(panels.coordinates(z)))
+    if even or ease:
         simulation = simulate(target, z, options.tolerance, panels=panels)
     searched = time.perf_counter()
     told.found(panels.coordinates(z))

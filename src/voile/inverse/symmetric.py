@@ -1,11 +1,18 @@
-"""Symmetric patterns: which vertex of a surface mirrors which, and panels made mirror images of each other exactly."""
+"""Symmetric patterns: which vertex of a surface mirrors which, panels made mirror images of each other exactly, and
+rules for one half that hold for the other."""
+
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
+from voile.inverse.ease import wanted_ease
 from voile.inverse.panels import Panels
+from voile.inverse.rules import PanelRule, Rules, SeamRule
+from voile.mesh import is_called
 
 PLACES = 3  # the plane of symmetry: found again with the partners that it gave
 FAR = 0.5  # of the mean edge: how far a vertex may be from the mirror image of its partner
@@ -157,3 +164,45 @@ def _upright(x: Reals, mirror: Ints) -> Reals:
     sign = [-1.0, 1.0] if abs(one[0]) > abs(one[1]) else [1.0, -1.0]
     found: Reals = 0.5 * (turned + turned[mirror] * sign)
     return found
+
+
+def mirrored_rules(panels: Panels, rules: Rules, mirror: Ints) -> Rules:
+    """The rules with their mirror images, each before what it comes from: the last one counts. What is said of a panel
+    or seam by its own name counts over what its mirror image says. Raises InputError for ease that differs from that of
+    the mirror image."""
+    names, others = panels.names, partners(panels, mirror)
+    flip = np.where(np.arange(3) == rules.symmetric, -1.0, 1.0)
+
+    def images(name: str) -> list[str]:
+        return [names[others[k]] for k, panel in enumerate(names) if is_called(panel, name)]
+
+    grains: list[PanelRule] = []
+    for rule in rules.panels:
+        grain = rule.grain if isinstance(rule.grain, str) else tuple((flip * rule.grain).tolist())
+        own = {r.panel for r in rules.panels}
+        grains += [*(PanelRule(n, grain) for n in images(rule.panel) if n not in own), rule]
+    seams: list[SeamRule] = []
+    for wish in rules.seams:
+        here = None if wish.vertices is None else np.isin(panels.vertex, wish.vertices)
+        vertices = None if here is None else np.unique(panels.vertex[mirror[here]])
+        found = (replace(wish, between=n, vertices=vertices) for n in product(*map(images, wish.between)))
+        seams += [*(image for image in found if not any(_same(image, r) for r in rules.seams)), wish]
+    ease = {}
+    for seam, longer in zip(panels.seams, wanted_ease(panels, seams), strict=True):
+        ease[seam.panels], ease[seam.panels[::-1]] = longer or 0.0, -(longer or 0.0)
+    for (one, other), longer in ease.items():
+        image = (others[one], others[other])
+        if longer != ease.get(image, longer):
+            raise InputError(
+                f"pattern.seam: ease of {longer:g} m between {names[one]!r} and {names[other]!r}, of {ease[image]:g} m "
+                f"between their mirror images {names[image[0]]!r} and {names[image[1]]!r}; allowed with "
+                "pattern.symmetric: one value, and none where left meets right"
+            )
+    return replace(rules, panels=tuple(grains), seams=tuple(seams))
+
+
+def _same(one: SeamRule, other: SeamRule) -> bool:
+    """Whether two rules name the same panels, and the same part of their border."""
+    if set(one.between) != set(other.between):
+        return False
+    return one.vertices is None or other.vertices is None or bool(np.isin(one.vertices, other.vertices).any())

@@ -9,13 +9,14 @@ import numpy as np
 
 from voile.arrays import Ints, Reals
 from voile.errors import InputError, NotConverged, on_root
+from voile.inverse.ease import add_ease
 from voile.inverse.flatten import FlatPanels, distortion, flatten
 from voile.inverse.overlaps import split_overlaps
 from voile.inverse.panels import Groups, Panels, split
 from voile.inverse.pattern import make_pattern, pattern_summary, sewing
 from voile.inverse.rules import NO_RULES, PanelRule, Rules, SeamRule, check_rules
 from voile.inverse.stitched import add_stitches
-from voile.inverse.symmetric import mirror_map, symmetrised
+from voile.inverse.symmetric import mirror_map, mirrored_rules, symmetrised
 from voile.mesh import Pattern, Surface, build_topology, select, surface_loops
 from voile.problem.shell import Shell
 from voile.scene.pattern import AXES
@@ -104,7 +105,7 @@ def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
     panels = _cut(model, shell, shell.points)
     check_rules(panels, rules.panels, rules.seams)
     if rules.symmetric is not None:
-        mirror_map(panels, rules.symmetric)
+        mirrored_rules(panels, rules, mirror_map(panels, rules.symmetric))
 
 
 def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[[Reals], Reals] | None:
@@ -119,6 +120,30 @@ def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[
         return found
 
     return even
+
+
+def gathered_in(
+    flat: FlatPanels | None, scene: Scene, model: Model | None, comm: "MPI.Comm"
+) -> Callable[[Reals], Reals] | None:
+    """What gives coordinates (p, 2) of the panels (rank 0) the ease of their seams, on all ranks; None where none is
+    asked for."""
+    if not any(seam.ease for seam in scene.pattern.seam):
+        return None
+
+    def rules_of(flat: FlatPanels, model: Model) -> Rules:
+        rules = wishes(scene, model)
+        if rules.symmetric is None:
+            return rules
+        return mirrored_rules(flat.panels, rules, mirror_map(flat.panels, rules.symmetric))
+
+    rules = on_root(comm, lambda: rules_of(flat, model) if flat and model else None)
+
+    def ease(x: Reals) -> Reals:
+        longer = on_root(comm, lambda: add_ease(moved(flat, x), rules.seams) if flat and rules else None)
+        found: Reals = comm.bcast(longer.coordinates if longer else None)
+        return found
+
+    return ease
 
 
 def wishes(scene: Scene, model: Model) -> Rules:

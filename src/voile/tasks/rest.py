@@ -28,6 +28,7 @@ from voile.tasks.patterns import (
     draw,
     evenly,
     first_copies,
+    gathered_in,
     lay_flat,
     moved,
     pattern_of_surface,
@@ -99,6 +100,7 @@ def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found
         options,
         layers=job.layers(cut),
         even=evenly(flat, job.scene, comm),
+        ease=gathered_in(flat, job.scene, job.model, comm),
         told=_told(job, write),
         journal=_journal(job),
     )
