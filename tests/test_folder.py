@@ -184,6 +184,59 @@ def test_a_limit_on_files_ends_a_history_and_leaves_the_one_before(tmp_path):
     assert len(read_history(tmp_path)["time"]) == 8001
 
 
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR2, signal.SIGXCPU])
+def test_terminals_that_close_and_limits_end_a_run_with_its_summary(voile, monkeypatch, number):
+    from voile.results import ResultWriter
+
+    write_step = ResultWriter.write_step
+
+    def told(self, *values, **more):
+        write_step(self, *values, **more)
+        signal.raise_signal(number)
+
+    monkeypatch.setattr(ResultWriter, "write_step", told)
+    code, said = voile("one")
+    assert code == 3 and "stopped by a signal" in said
+    assert json.loads((voile.folder / "summary.json").read_text())["reason"] == "stopped by a signal"
+
+
+def test_what_nohup_starts_outlives_its_terminal(voile, monkeypatch):
+    from voile.results import ResultWriter
+
+    write_step = ResultWriter.write_step
+
+    def told(self, *values, **more):
+        write_step(self, *values, **more)
+        signal.raise_signal(signal.SIGHUP)
+
+    monkeypatch.setattr(ResultWriter, "write_step", told)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert voile("one") == (0, "")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("streams", [">&-", ">&- 2>&- <&-", "> /dev/full"])
+def test_a_run_needs_nobody_who_reads_it(voile, streams):
+    command = (
+        f"{sys.executable} -m voile.cli run {voile.folder.parent / 'one.toml'} -o {voile.folder} {streams}"
+    )
+    assert subprocess.run(command, shell=True, timeout=100).returncode == 0
+    assert read_result(voile.folder).n_steps >= 1
+
+
+def test_a_folder_that_is_gone_is_told(voile):
+    gone = voile.folder.parent / "gone"
+    gone.mkdir()
+    command = (
+        f"cd {gone} && rmdir {gone} && {sys.executable} -m voile.cli run {voile.folder.parent / 'one.toml'}"
+    )
+    done = subprocess.run(command, shell=True, timeout=100, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("voile: the working folder: ")
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_to_one_rank_ends_all_of_them(voile, mpirun, number):

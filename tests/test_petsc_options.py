@@ -56,6 +56,21 @@ def test_options_that_nothing_used_are_named_once(run):
     assert summary["unused_options"] == ["-ksp_rtoll -1", "-snes_typ newtonls"]
 
 
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["-ksp_type", "bogus"], "requested KSP type bogus"),
+        (["-snes_max_it", "many"], "many has no integer value"),
+        (["-pc_factor_mat_solver_type", "superlu"], "superlu does not support"),
+    ],
+)
+def test_what_petsc_does_not_have_is_bad_input(run, words, why):
+    done, _ = run(*words)
+    assert done.returncode == 2
+    assert done.stderr.startswith("voile: PETSc options: ") and why in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 def test_nothing_is_said_where_all_options_acted(run):
     # Of the last three PETSc itself asks for some only when it ends.
     done, summary = run(
@@ -93,6 +108,7 @@ def test_cholmod_may_meet_matrices_that_are_not_positive_definite(run, tmp_path)
     done, summary = run("-pc_factor_mat_solver_type", "cholmod")
     assert done.returncode == 0, done.stderr
     assert summary["stable"] is True and summary["contact"]["active"] > 0
+    assert "CHOLMOD" not in done.stdout + done.stderr
 
 
 def test_a_solver_that_petsc_has_not_is_bad_input(run, tmp_path, mpirun):

@@ -28,12 +28,14 @@ def main(argv: list[str] | None = None) -> int:
     """Runs a command; returns 0 done, 2 bad input, 3 not converged or stopped, 130 stopped where there was nothing to
     keep, 1 anything else."""
     without_launcher()
+    _open_streams()
     argv, debug = list(sys.argv[1:] if argv is None else argv), False
     split = argv.index("--") if "--" in argv else len(argv)
     try:
         args = _parser().parse_args(argv[:split])
         args.petsc, debug = argv[split + 1 :], args.debug
         check_memory()
+        _check_folder()
         code = args.command(args) or 0
         sys.stdout.flush()
         return code
@@ -56,6 +58,26 @@ def main(argv: list[str] | None = None) -> int:
         if _ranks() > 1:
             traceback.print_exc()
         return _ended(f"{type(error).__name__}: {error}  (--debug shows where)", 1)
+
+
+def _check_folder() -> None:
+    """PETSc does not start in a folder that is gone."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise InputError(f"the working folder: {error.strerror}; allowed: one that is there (cd)") from None
+
+
+def _open_streams() -> None:
+    """Opens what the caller closed (`>&-`) to nowhere: the next file would take its number, and what libraries print
+    would go there."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
 
 def _ended(why: str, code: int) -> int:

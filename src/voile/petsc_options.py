@@ -62,6 +62,12 @@ def options_of_run(more: Sequence[str]) -> Iterator[None]:
     _given.update(options.getAll())
     try:
         yield
+    except PETSc.Error as error:
+        trace = str(error).splitlines()
+        if not any("SetFromOptions" in line for line in trace):
+            raise
+        why = trace[-1].partition("] ")[2]
+        raise InputError(f"PETSc options: {why}; allowed: types and values that PETSc has") from None
     finally:
         _given.clear()
         for name, value in options.getAll().items():

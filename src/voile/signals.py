@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
-# SIGUSR1 because mpirun hands it on to its ranks and then ends as they do; SIGTERM it takes for itself.
-ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+# What a user, a terminal that closes and a batch system's limits send. SIGUSR1 and SIGUSR2 mpirun hands on to its ranks
+# and then ends as they do; SIGTERM it takes for itself.
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGHUP, signal.SIGXCPU)
 
 
 @contextmanager
@@ -27,13 +28,18 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
             sys.__unraisablehook__(what)
 
     hook, sys.unraisablehook = sys.unraisablehook, swallowed
-    before = {number: signal.signal(number, stop) for number in ENDING}
+    before = {number: signal.signal(number, stop) for number in ENDING if not _outlived(number)}
     try:
         yield told
     finally:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _outlived(number: int) -> bool:
+    """Whether a run is to outlive this signal: nohup has the end of the terminal ignored."""
+    return number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN
 
 
 @contextmanager

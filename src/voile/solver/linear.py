@@ -25,6 +25,7 @@ DEFAULTS = {
     "mat_mumps_cntl_1": "0.0",
     "mat_mumps_icntl_8": "0",
     "mat_mumps_icntl_14": "50",
+    "mat_cholmod_print": "0",  # it would print a line for every indefinite matrix
 }
 INERTIA = "inertia_"  # prefix of factorisations that count negative eigenvalues
 

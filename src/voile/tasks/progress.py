@@ -37,10 +37,10 @@ class Progress:
             self._print(("\r\033[K" if self.live else "") + printable(text))
 
     def _print(self, text: str, end: str = "\n") -> None:
-        """A run goes on when nobody reads what it says any more."""
+        """A run goes on when nobody reads what it says any more, or the disk of its log is full."""
         try:
             print(text, end=end, flush=True)
-        except BrokenPipeError:
+        except OSError:
             self.quiet = True
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
