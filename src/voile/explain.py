@@ -5,9 +5,9 @@ import numpy as np
 from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
-from voile.elastic.plate import Bending, bending_of
+from voile.elastic.plate import Bending, bending_of, stretching_of
 from voile.problem.follower import conservative
-from voile.problem.shell import Shell
+from voile.problem.shell import Shell, seam_gaps
 from voile.scene import Scene
 from voile.solver.multigrid import LARGE, unfit
 from voile.solver.nested import Options
@@ -41,7 +41,9 @@ def _of_shell(scene: Scene, shell: Shell) -> list[Row]:
     angles = f"one unknown per edge for bending = {spec.bending!r}"
     none = "mid-edge normals are averages of the faces'" if row.normals else f"model {spec.model} has none"
     curved = "the flat rest shape has none" if shell.flat else "from the rest shape"
-    sewn = f"{len(shell.slave)} stitches eliminate {slaves} vertices; sewn edges {turns}"
+    gap = seam_gaps(shell).max(initial=0.0)
+    sewn = f"{len(shell.slave)} stitches eliminate {slaves} vertices, up to {gap:.2g} m apart at the start; "
+    sewn += f"sewn edges {turns}"
     return [
         ("stretching", True, stretched),
         _row("bending", row.bends, bent, f"a {spec.model} has no bending stiffness"),
@@ -224,8 +226,8 @@ def _refined(scene: Scene, model: Model) -> str:
     return f", {count}, refined {times} time{'s' * (times > 1)}" if times else ""
 
 
-def _bending(shell: Shell) -> Bending | None:
-    """Of the middle of a rest shape in one plane, None of others."""
+def _against_plate(shell: Shell) -> tuple[Bending, Bending] | None:
+    """How the middle of a rest shape in one plane bends and stretches, None of others."""
     x, t = shell.rest_points - shell.rest_points.mean(axis=0), shell.rest_triangles
     _, _, axes = np.linalg.svd(x, full_matrices=False)
     x = x @ axes.T
@@ -238,7 +240,10 @@ def _bending(shell: Shell) -> Bending | None:
     names = {"model": model, **({"bending": bending} if bending else {})}
     names |= {"material": material} if material else {}
     fabric = {name: getattr(shell, name)[near] for name in ("thickness", "young", "poisson")}
-    return bending_of(x[used], triangles.reshape(-1, 3), model=names, **fabric)
+    bent, stretched = (
+        of(x[used], triangles.reshape(-1, 3), model=names, **fabric) for of in (bending_of, stretching_of)
+    )
+    return bent, stretched
 
 
 def explain(scene: Scene, model: Model) -> str:
@@ -290,14 +295,21 @@ def _advice(scene: Scene, shell: Shell) -> list[str]:
         notes.append(
             f"bending = {spec.bending!r} need not converge on meshes of repeated cells such as this; 'tan' converges"
         )
-    found = None if directors else _bending(shell)
+    found = None if directors else _against_plate(shell)
     if found:
-        (low, high), (least, most) = found.of_cylinders(), found.of_all()
+        bent, stretched = found
+        (low, high), (least, most) = bent.of_cylinders(), bent.of_all()
         if least < 1.0 - PLATE or most > 1.0 + PLATE:
             notes.append(
                 f"{spec.model} bends this mesh {low:.2f} to {high:.2f} times as stiffly to cylinders (by direction), "
                 f"{least:.2f} to {most:.2f} times to any shape (domes, saddles), as the plate of its E, nu and h; "
                 "model = 'koiter' with bending = 'tan' converges to that"
+            )
+        least, most = stretched.of_all()
+        if least < 1.0 - PLATE or most > 1.0 + PLATE:
+            notes.append(
+                f"{spec.model} stretches this mesh {least:.2f} to {most:.2f} times as stiffly, by direction and "
+                "shear, as its E, nu and h would; model = 'koiter' does so exactly"
             )
     if _slenderness(shell) ** 2 < STIFFNESS_RATIO:
         notes.append("bending stiffness is at round-off against stretching; consider model = 'membrane'")

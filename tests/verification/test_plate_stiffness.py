@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+import voile
 from voile.cli import main
-from voile.elastic.plate import bending_of
+from voile.elastic.plate import bending_of, stretching_of
 from voile.validate.shells import mapped
 
 HINGES = ({"model": "discrete-shells"}, {"model": "koiter", "bending": "average"}, {"model": "projective"})
@@ -66,6 +67,36 @@ def test_hinges_on_repeated_cells_are_not():
     assert found["crossed", "koiter"] == pytest.approx((1.12, 1.47), abs=0.01)
 
 
+def test_stretching_is_that_of_sheets_that_are_pulled():
+    """Exactly E, nu and h with a material; lengths and areas have moduli of their own, here 4/3 E."""
+    u, v, triangles, _ = mapped(6, 6, "right")
+    points, one = np.column_stack([u, v, 0.0 * u]), np.ones(len(triangles))
+    for model, exact in (("koiter", True), ("discrete-shells", False)):
+        form = stretching_of(
+            points, triangles, thickness=1e-3 * one, young=1e6 * one, poisson=0.0 * one, model={"model": model}
+            | ({"bending": "tan", "material": "stvk"} if exact else {}),
+        )  # fmt: skip
+        pulled = {
+            "shell": {"mesh": (points, triangles), "young": 1e6, "thickness": 1e-3, "density": 1.0}
+            | {"poisson": 0.0, "model": model},
+            "loads": {
+                "gravity": [0, 0, 0],
+                "force": [{"select": {"box": [[0.999, -1, -1], [2, 2, 1]]}, "value": [1e-3, 0, 0]}],
+            },
+            "fix": [
+                {"select": {"box": [[-1, -1, -1], [1e-6, 2, 1]]}, "axes": "x"},
+                {"select": {"all": True}, "axes": "z"},
+                {"select": {"nodes": [0]}},
+            ],
+        }
+        moved = voile.run(pulled).positions - points
+        strain = moved[points[:, 0] > 0.999, 0].mean()
+        assert strain == pytest.approx(1e-3 * np.linalg.inv(form.mesh)[0, 0], rel=1e-4)
+        if exact:
+            assert form.of_all() == pytest.approx((1.0, 1.0), abs=1e-9)
+        assert 1e-6 / strain == pytest.approx(1.0 if exact else 4.0 / 3.0, rel=1e-4)
+
+
 def test_explain_says_the_figure(tmp_path, capsys):
     u, v, triangles, _ = mapped(12, 12, "right")
     lines = [f"v {x} 0 {y}" for x, y in zip(u, v, strict=True)] + [
@@ -75,9 +106,8 @@ def test_explain_says_the_figure(tmp_path, capsys):
     text = '[shell]\nmesh = "mesh.obj"\nmodel = "discrete-shells"\nyoung = 1e6\nthickness = 1e-3\ndensity = 300.0\n'
     (tmp_path / "scene.toml").write_text(text + "[[fix]]\nselect = { box = [[0, -1, 0], [0, 1, 1]] }\n")
     assert main(["explain", str(tmp_path / "scene.toml")]) == 0
-    assert (
-        "discrete-shells bends this mesh 0.87 to 2.46 times as stiffly to cylinders"
-        in capsys.readouterr().out
-    )
+    told = capsys.readouterr().out
+    assert "discrete-shells bends this mesh 0.87 to 2.46 times as stiffly to cylinders" in told
+    assert "discrete-shells stretches this mesh 0.34 to 1.40 times as stiffly" in told
     assert main(["explain", str(tmp_path / "scene.toml"), "--set", "shell.model=koiter"]) == 0
     assert "times as stiffly" not in capsys.readouterr().out

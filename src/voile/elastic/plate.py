@@ -1,7 +1,8 @@
-"""How stiffly a model without director angles bends a mesh, beside the plate of its E, nu and h."""
+"""How stiffly a model without director angles bends and stretches a mesh, beside the plate of its E, nu and h."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigvalsh
@@ -15,8 +16,8 @@ DIRECTIONS = 6  # of 180 degrees
 
 @dataclass(frozen=True)
 class Bending:
-    """Quadratic forms (3, 3) of the curvatures xx, yy, xy of a flat mesh: twice the energy of the mesh bent so, and of
-    the plate that it stands for."""
+    """Quadratic forms (3, 3) of the curvatures xx, yy, xy of a flat mesh, or of its strains: twice the energy of the
+    mesh bent or stretched so, and of the plate that it stands for."""
 
     mesh: Reals
     plate: Reals
@@ -29,7 +30,7 @@ class Bending:
         return float(ratios.min()), float(ratios.max())
 
     def of_all(self) -> tuple[float, float]:
-        """The same over all curvatures: domes and saddles too."""
+        """The same over all curvatures or strains: domes and saddles too."""
         ratios = eigvalsh(self.mesh, self.plate)
         return float(ratios[0]), float(ratios[-1])
 
@@ -48,21 +49,64 @@ def bending_of(
     The deflection is quadratic at the border and next to it; inside it is the one of least energy, as in equilibrium.
     Per triangle thickness (m), young (Pa), poisson; model: what `evaluate` takes of it.
     """
+    x, hessian = _flat(points, triangles, thickness, young, poisson, model)
+    upright = 3 * np.arange(len(x)) + 2
+    stiffness = triangle_areas(x, triangles) * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
+    deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
+    inside = _inside(triangles, len(x))
+    return Bending(_form(hessian[upright][:, upright], deflection, inside), _plate(stiffness, poisson, 2.0))
+
+
+def stretching_of(
+    points: Reals,
+    triangles: Ints,
+    *,
+    thickness: Reals,
+    young: Reals,
+    poisson: Reals,
+    model: Mapping[str, str],
+) -> Bending:
+    """As `bending_of`, of strains xx, yy and the shear angle xy in the plane, beside plane stress."""
+    x, hessian = _flat(points, triangles, thickness, young, poisson, model)
+    level = np.flatnonzero(np.arange(3 * len(x)) % 3 < 2)
+    stiffness = triangle_areas(x, triangles) * (young * thickness / (1.0 - poisson**2))
+    moved = np.zeros((len(x), 2, 3))
+    moved[:, 0, 0], moved[:, 1, 1], moved[:, 0, 2] = x[:, 0], x[:, 1], x[:, 1]
+    inside = np.repeat(_inside(triangles, len(x)), 2)
+    return Bending(
+        _form(hessian[level][:, level], moved.reshape(-1, 3), inside), _plate(stiffness, poisson, 0.5)
+    )
+
+
+def _flat(
+    points: Reals,
+    triangles: Ints,
+    thickness: Reals,
+    young: Reals,
+    poisson: Reals,
+    model: Mapping[str, str],
+) -> tuple[Reals, Any]:
+    """Points (n, 3) about their mean, and the Hessian of their energy there."""
     x = points - points.mean(axis=0)
     fabric = {"thickness": thickness, "young": young, "poisson": poisson}
     flat = evaluate(x, x, triangles, hessian=True, **fabric, **model)  # type: ignore[arg-type]  # text alone
     assert flat.hessian is not None
-    upright = 3 * np.arange(len(x)) + 2
-    bends = flat.hessian[upright][:, upright].tocsc()
-    area = triangle_areas(x, triangles)
-    stiffness = area * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
-    whole, side = stiffness.sum(), stiffness @ poisson
-    plate = np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, 2.0 * (whole - side)]])
-    deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
-    inside = _inside(triangles, len(x))
+    return x, flat.hessian
+
+
+def _form(hessian: Any, fields: Reals, inside: Flags) -> Reals:
+    """(3, 3) twice the energy of three displacement fields (k, 3), which give way inside."""
+    hessian = hessian.tocsc()
     if inside.any():
-        deflection[inside] -= splu(bends[inside][:, inside]).solve((bends @ deflection)[inside])
-    return Bending(deflection.T @ (bends @ deflection), plate)
+        fields[inside] -= splu(hessian[inside][:, inside]).solve((hessian @ fields)[inside])
+    form: Reals = fields.T @ (hessian @ fields)
+    return form
+
+
+def _plate(stiffness: Reals, poisson: Reals, twist: float) -> Reals:
+    """The plate's form, of its triangles' stiffness; twist: its last entry over the stiffness less Poisson's share."""
+    whole, side = stiffness.sum(), stiffness @ poisson
+    return np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, twist * (whole - side)]])
 
 
 def _inside(triangles: Ints, count: int) -> Flags:
