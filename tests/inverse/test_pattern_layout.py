@@ -78,6 +78,11 @@ def test_sheets_cover_the_pattern_once_and_match_in_their_overlaps(pattern):
     true = shapely.union_all([shapely.LinearRing(ring) for ring in rings])
     found = shapely.union_all(cut)
     assert shapely.hausdorff_distance(found, true) < 1e-6
+    pieces = shapely.union_all([shapely.Polygon(ring) for ring in rings])
+    frames = {f"{chr(65 + r)}{c + 1}": shapely.box(*(step * [c, r]), *(step * [c, r] + size - 2 * MARGIN))
+              for r in range(9) for c in range(26)}  # fmt: skip
+    assert {sheet.name for sheet in sheets[1:]} == {n for n, f in frames.items() if f.intersects(pieces)}
+    assert all(len(line.points) > 1 for sheet in sheets for line in sheet.lines)
     every = [cross for names in crosses for cross in names]
     assert (
         min(every.count(cross) for cross in set(every)) >= 1

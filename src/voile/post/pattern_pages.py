@@ -76,8 +76,8 @@ def write_pages(folder: str | Path, pattern: Pattern, paper: str = "a4") -> list
 
 
 def sheets_of(pattern: Pattern, size: Reals) -> list[Sheet]:
-    """The sheets of a pattern on paper of `size` (mm), the one with the square and the map first; blank ones are left
-    out."""
+    """The sheets of a pattern on paper of `size` (mm), the one with the square and the map first; those that lie
+    on no piece are left out."""
     low = 1e3 * np.min([piece.cut[0].min(axis=0) for piece in pattern.pieces], axis=0)
     high = 1e3 * np.max([piece.cut[0].max(axis=0) for piece in pattern.pieces], axis=0)
     lines, labels = _drawing(pattern, np.array([low[0], high[1]]))
@@ -89,6 +89,9 @@ def sheets_of(pattern: Pattern, size: Reals) -> list[Sheet]:
         )
     shapes = [shapely.LineString(line.points) for line in lines]
     tree = shapely.STRtree(shapes)
+    pieces = shapely.union_all(
+        [shapely.Polygon(s) for s, line in zip(shapes, lines, strict=True) if line.layer == "cut"]
+    )
     sheets = []
     for row in range(count[1]):
         for column in range(count[0]):
@@ -99,7 +102,7 @@ def sheets_of(pattern: Pattern, size: Reals) -> list[Sheet]:
                 for k in sorted(tree.query(frame).tolist())
                 for part in _clipped(shapes[k], frame)
             ]
-            if here:
+            if pieces.intersects(frame):  # also amid a piece, whose other sheets are glued to it
                 inside = [
                     label for label in labels if ((label.at > corner) & (label.at < corner + room)).all()
                 ]
@@ -145,7 +148,7 @@ def _clipped(line: shapely.LineString, frame: shapely.Polygon) -> Iterator[Reals
     """The parts (k, 2) of a line inside a frame."""
     inside = line.intersection(frame)
     for part in shapely.get_parts(inside):
-        if part.geom_type == "LineString":
+        if part.geom_type == "LineString" and not part.is_empty:  # only their boxes may meet
             yield shapely.get_coordinates(part)
 
 
