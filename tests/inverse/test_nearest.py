@@ -16,7 +16,7 @@ from test_direct import heavy_strip, rod, solve
 from voile.inverse.direct import Direct
 from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.result import inverse_report
-from voile.inverse.solve import InverseOptions, Told, solve_inverse
+from voile.inverse.solve import InverseOptions, Told, _nearer, solve_inverse
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import Target
 from voile.inverse.verify import settles_within
@@ -235,3 +235,13 @@ def test_ranks_find_the_same_nearest_shape(mpirun):
         figures.append([float(word) for word in done.stdout.split()])
     np.testing.assert_allclose(figures[1], figures[0], rtol=1e-3)
     assert all(figures[0])
+
+
+def test_an_answer_that_simulations_leave_farther_than_nothing_is_none():
+    """A strip drawn level whose nearest shape is near, but from which the simulation ends far away."""
+    strip = heavy_strip(10.0)[0]
+    target = Target(Problem(strip, MPI.COMM_SELF), strip, [], 0.5e-3, 1e-3)
+    near = SimpleNamespace(sag=1e-9)
+    for sag, stable, answer in ((10.0, True, False), (1e-8, True, True), (10.0, False, True)):
+        run = SimpleNamespace(sag=sag, stable=stable)
+        assert _nearer(target, near, run, 1e-8) is answer

@@ -299,11 +299,10 @@ class Search:
 
 def _nearer(target: Target, nearest: NearestPath, run: Simulation, tolerance: float) -> bool:
     """Whether a nearest stable shape is nearer to the target than what the target's own shape as rest shape gives; so
-    is its simulation from the target, where that ends in it."""
-    stays = run.stable and run.sag <= NEAR * nearest.sag
+    is its simulation from the target, where that ends at all."""
     target.release()
     plain = target.problem.create_vector()
-    return not settles_within(target, plain, tolerance, run.sag if stays else nearest.sag)
+    return not settles_within(target, plain, tolerance, run.sag if run.stable else nearest.sag)
 
 
 def _resolved(target: Target, path: DirectPath, tolerance: float) -> float:
