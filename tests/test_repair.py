@@ -138,3 +138,24 @@ def test_quads_are_told_and_bad_options_refused(tmp_path, capsys):
     empty = obj(tmp_path, "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "line.obj")
     assert main(["mesh", "repair", str(empty)]) == 2
     assert "no triangle is left" in capsys.readouterr().err
+
+
+def test_legs_that_touch_the_plane_of_symmetry_stay_apart(tmp_path):
+    """Two tubes 0.1 mm from it under a sheet that lies across it: four triangles met in an edge
+    of what `mesh mirror` wrote."""
+    angle, level = np.meshgrid(2 * np.pi * np.arange(24) / 24, np.linspace(0.0, 0.5, 13), indexing="ij")
+    tube = np.column_stack([0.1 * np.cos(angle).ravel() + 0.1001, 0.1 * np.sin(angle).ravel(), level.ravel()])
+    k = (np.arange(24)[:, None] * 13 + np.arange(12)).ravel()
+    on = (k + 13) % len(tube)
+    sides = np.concatenate([np.column_stack([k, on, k + 1]), np.column_stack([on, on + 1, k + 1])])
+    sheet = np.array([[-0.2, -0.2, 0.7], [0.2, -0.2, 0.7], [0.21, 0.2, 0.7], [-0.2, 0.2, 0.7]])
+    points = np.concatenate([tube, tube * [-1.0, 1.0, 1.0], sheet])
+    n = len(tube)
+    triangles = np.concatenate([sides, sides[:, ::-1] + n, 2 * n + np.array([[0, 1, 2], [0, 2, 3]])])
+    write_obj(tmp_path / "legs.obj", points, triangles)
+    out = str(tmp_path / "even.obj")
+    assert main(["mesh", "mirror", str(tmp_path / "legs.obj"), "--across", "x", "--at", "0", "-o", out]) == 0
+    even = read_mesh(tmp_path / "even.obj")
+    assert len(loops_of(even)) == 5
+    legs = even.points[even.points[:, 2] < 0.6]
+    assert np.abs(np.sort(legs[:, 0]) - np.sort(np.concatenate([tube[:, 0], -tube[:, 0]]))).max() < 1e-15

@@ -6,12 +6,13 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from voile.arrays import Flags, Ints, Reals, triangle_areas
+from voile.arrays import Flags, Ints, Reals, triangle_areas, triangle_sides
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
 PLACES = 5  # the plane is found again with the partners that it gave
-SNAP = 0.3  # of a vertex's shortest edge: nearer to the plane it is moved there, so that no sliver is cut off
+SNAP = 0.3  # of a vertex's shortest edge: nearer to a cut it is moved there, so that no sliver is cut off
+ON = 1e-9  # of the size: what ends there, as half a garment, is joined to its image
 MIDDLE = 0.3  # a group with at least so much of its area on either side lies across the plane
 
 
@@ -30,13 +31,14 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     """The half of a mesh where side * (x[axis] - place) > 0 with its mirror image; and figures: the largest distance
     (`apart`) and its mean square (`rms`) from the other half's vertices to what now stands there.
 
-    Triangles across the plane are cut, vertices close to it moved there. Groups go to those on the other side, and lie
-    across the plane where they did. Stitches are mirrored, those to the other half sew vertices to their images.
+    Triangles across the plane are cut, vertices beside the cut moved to it. Groups go to those on the other side, and
+    lie across the plane where they did. Stitches are mirrored, those to the other half sew vertices to their images.
     Texture coordinates are dropped.
     Raises InputError where nothing is on that side.
     """
     d = side * (raw.points[:, axis] - place)
-    d[np.abs(d) < SNAP * _shortest(raw)] = 0.0
+    beside = (np.abs(d) < SNAP * _shortest(raw)) & _crossed(raw.triangles, d)
+    d[beside | (np.abs(d) < ON * np.ptp(raw.points[raw.triangles], axis=(0, 1)).max(initial=0.0))] = 0.0
     points = raw.points.copy()
     points[:, axis] = place + side * d
     made, triangles, parent = _cut(points, raw.triangles, d)
@@ -48,6 +50,7 @@ def mirror(raw: RawMesh, axis: int, place: float, side: int) -> tuple[RawMesh, d
     group, twin, names, keep = _groups(raw, triangles, parent, axis, place, side)
     triangles = triangles[keep]
     on = np.append(d == 0.0, np.ones(len(made) - len(points), dtype=bool))
+    on &= _ends_at(triangles, on)  # legs that touch the plane have vertices of their own there
     image, n = np.where(on, np.arange(len(made)), np.arange(len(made)) + len(made)), len(made)
     flipped = made.copy()
     flipped[:, axis] = 2 * place - flipped[:, axis]
@@ -94,6 +97,22 @@ def _shortest(raw: RawMesh) -> Reals:
         for end in ends.T:
             np.minimum.at(found, end, length)
     return np.where(np.isfinite(found), found, 0.0)
+
+
+def _crossed(triangles: Ints, d: Reals) -> Flags:
+    """(n,) marks vertices with a neighbour beyond the plane."""
+    edges = triangle_sides(triangles)
+    found = np.zeros(len(d), dtype=bool)
+    found[edges[d[edges[:, 0]] * d[edges[:, 1]] < 0]] = True
+    return found
+
+
+def _ends_at(triangles: Ints, on: Flags) -> Flags:
+    """(n,) marks the vertices of border edges whose ends are both on the plane."""
+    edges, times = np.unique(triangle_sides(triangles), axis=0, return_counts=True)
+    found = np.zeros(len(on), dtype=bool)
+    found[edges[(times == 1) & on[edges].all(axis=1)]] = True
+    return found
 
 
 def _cut(points: Reals, triangles: Ints, d: Reals) -> tuple[Reals, Ints, Ints]:
