@@ -5,7 +5,7 @@ import numpy as np
 from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
-from voile.elastic.plate import Bending, bending_of, stretching_of
+from voile.elastic.plate import Stiffness, bending_of, stretching_of
 from voile.problem.follower import conservative
 from voile.problem.shell import Shell, seam_gaps
 from voile.scene import Scene
@@ -226,7 +226,7 @@ def _refined(scene: Scene, model: Model) -> str:
     return f", {count}, refined {times} time{'s' * (times > 1)}" if times else ""
 
 
-def _against_plate(shell: Shell) -> tuple[Bending, Bending] | None:
+def _against_plate(shell: Shell) -> tuple[Stiffness, Stiffness] | None:
     """How the middle of a rest shape in one plane bends and stretches, None of others."""
     x, t = shell.rest_points - shell.rest_points.mean(axis=0), shell.rest_triangles
     _, _, axes = np.linalg.svd(x, full_matrices=False)

@@ -15,7 +15,7 @@ DIRECTIONS = 6  # of 180 degrees
 
 
 @dataclass(frozen=True)
-class Bending:
+class Stiffness:
     """Quadratic forms (3, 3) of the curvatures xx, yy, xy of a flat mesh, or of its strains: twice the energy of the
     mesh bent or stretched so, and of the plate that it stands for."""
 
@@ -43,7 +43,7 @@ def bending_of(
     young: Reals,
     poisson: Reals,
     model: Mapping[str, str],
-) -> Bending:
+) -> Stiffness:
     """How stiffly a flat mesh (n, 3), z = 0, bends; small deflections.
 
     The deflection is quadratic at the border and next to it; inside it is the one of least energy, as in equilibrium.
@@ -54,7 +54,7 @@ def bending_of(
     stiffness = triangle_areas(x, triangles) * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
     deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
     inside = _inside(triangles, len(x))
-    return Bending(_form(hessian[upright][:, upright], deflection, inside), _plate(stiffness, poisson, 2.0))
+    return Stiffness(_form(hessian[upright][:, upright], deflection, inside), _plate(stiffness, poisson, 2.0))
 
 
 def stretching_of(
@@ -65,7 +65,7 @@ def stretching_of(
     young: Reals,
     poisson: Reals,
     model: Mapping[str, str],
-) -> Bending:
+) -> Stiffness:
     """As `bending_of`, of strains xx, yy and the shear angle xy in the plane, beside plane stress."""
     x, hessian = _flat(points, triangles, thickness, young, poisson, model)
     level = np.flatnonzero(np.arange(3 * len(x)) % 3 < 2)
@@ -73,7 +73,7 @@ def stretching_of(
     moved = np.zeros((len(x), 2, 3))
     moved[:, 0, 0], moved[:, 1, 1], moved[:, 0, 2] = x[:, 0], x[:, 1], x[:, 1]
     inside = np.repeat(_inside(triangles, len(x)), 2)
-    return Bending(
+    return Stiffness(
         _form(hessian[level][:, level], moved.reshape(-1, 3), inside), _plate(stiffness, poisson, 0.5)
     )
 
