@@ -10,6 +10,7 @@ import shapely
 from mesh_helpers import areas
 from pattern_shapes import gores, hat, ramp, skirt
 
+import voile
 from voile.cli import main
 from voile.elastic import evaluate
 from voile.errors import InputError
@@ -288,3 +289,23 @@ def test_missing_and_damaged_patterns_are_refused(pattern, tmp_path, capsys):
     (tmp_path / "pattern.json").write_text('{"version": 1}')
     with pytest.raises(InputError, match="damaged pattern file"):
         read_pattern(tmp_path)
+
+
+@pytest.mark.parametrize(("waves", "said"), [(0, "strains it by up to "), (9, "no sewing pattern: panel")])
+def test_a_run_tells_where_cloth_cut_so_is_not_the_rest_shape(waves, said, capfd):
+    """A bowl, which strains when laid flat, and a ruffle, which overlaps itself. Their sag alone promised too much."""
+    angle, out = np.meshgrid(2 * np.pi * np.arange(72) / 72, np.linspace(0.0, 1.0, 5), indexing="ij")
+    radius = 0.1 + 0.1 * out
+    height = (0.03 if waves else 0.15) * out**2 * np.cos(waves * angle)
+    points = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], axis=-1).reshape(-1, 3)
+    k = (np.arange(72)[:, None] * 5 + np.arange(4)).ravel()
+    on = (k + 5) % len(points)
+    triangles = np.concatenate([np.column_stack([k, k + 1, on]), np.column_stack([on, k + 1, on + 1])])
+    table = {
+        "scene": {"task": "inverse"},
+        "shell": {"mesh": (points, triangles), "young": 1e9, "thickness": 1e-3, "density": 300.0},
+        "loads": {"gravity": [0.0, -9.81, 0.0]},
+        "fix": [{"select": {"boundary": 1}}],
+    }
+    notes = voile.run(table, progress=True).summary["notes"]
+    assert sum(said in note for note in notes) == 1 and f"note: {notes[0]}" in capfd.readouterr().out

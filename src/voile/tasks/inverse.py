@@ -14,6 +14,9 @@ from voile.tasks.rest import find_panels, find_surface, write_result
 from voile.tasks.run import Run
 
 LOOSE = 1e-3  # sizes: a sag of panels that their seams may be to blame for
+# Strain of a rest shape laid flat that a user should know of: a collar of 2e-5 cut so hangs 8e-5 sizes off, a bent
+# sleeve of 0.12 hangs 0.22 off.
+STRAINED = 0.01
 
 
 def run(job: Run) -> str:
@@ -79,6 +82,15 @@ def _note(job: Run, result: InverseResult, report: dict[str, Any]) -> None:
         job.note(
             f"what bears in the target lies {sunk:.2g} to {hover:.2g} m off what it touches: simulations here keep the "
             "gaps, a scene of statics closes them, as that of sag_closed does"
+        )
+    pattern = report["pattern"] or {}
+    if "none" in pattern:
+        job.tell(f"no sewing pattern: {pattern['none']}")
+    elif not spec.developable and pattern.get("distortion", 0.0) > STRAINED:
+        job.tell(
+            f"the pattern is the rest shape laid flat, which strains it by up to {pattern['distortion']:.1%}: sag is "
+            "that of the rest shape, not of cloth cut so; more groups or inverse.seams strain it less, "
+            'inverse.developable = "panels" finds cloth that can be cut'
         )
     loose = spec.developable == "panels" and not job.scene.shell.seam_bending
     if loose and (report["sag"] or 1.0) > LOOSE:
