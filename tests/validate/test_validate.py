@@ -26,6 +26,7 @@ LONG = {
     "cusick-drape",
     "friction-pad",
     "lateral-buckling",
+    "mylar-balloon",
     "rotating-sphere",
     "slit-annulus",
     "sliding-sheet",

@@ -49,12 +49,15 @@ class Curve:
 
 
 @pytest.mark.parametrize(
-    ("thickness", "load", "displacement"),
-    [(12.7, 2226.3, 11.293), (6.35, 585.9, 12.892)],  # Sze, Liu & Lo 2004, next to their first limit points
+    ("thickness", "load", "displacement", "finest"),
+    [
+        (12.7, 2226.3, 11.293, 24),
+        (6.35, 585.9, 12.892, 28),
+    ],  # Sze, Liu & Lo 2004, at their first limit points
 )
-def test_hinged_roof(thickness, load, displacement):
+def test_hinged_roof(thickness, load, displacement, finest):
     limits = []
-    for n in (8, 16, 32):
+    for n in (finest // 4, finest // 2, finest):
         shell, middle = roofs.hinged_roof(n, n, thickness, 3000.0)
         curve = Curve(shell, [middle])
         limits.append(curve.limits()[:, 0] * 3000.0)
@@ -107,7 +110,7 @@ def test_dome_under_pressure():
     curve = roofs.dome_path(sags)
     top, bottom = curve[:20].max(), curve[20:].min()
     found = []
-    for size in (0.1, 0.05):
+    for size in (0.14, 0.07):
         shell = roofs.clamped_dome(size, 1.5)
         path, critical = solve_arc(Problem(shell, MPI.COMM_SELF), StaticsOptions(), 1.0, 0)
         require(path)
@@ -119,14 +122,17 @@ def test_dome_under_pressure():
 
 
 @pytest.mark.parametrize(
-    ("lam", "poisson", "kind", "published", "bound"),
-    [(4.0, 0.3, "limit point", 0.563, 5e-3), (6.0, 1.0 / 3.0, "bifurcation", 0.775, 0.015)],
+    ("lam", "poisson", "kind", "published", "bound", "sizes"),
+    [
+        (4.0, 0.3, "limit point", 0.563, 5e-3, (0.14, 0.08)),
+        (6.0, 1.0 / 3.0, "bifurcation", 0.775, 0.015, (0.1, 0.06)),
+    ],
 )
-def test_dome_under_pressure_as_published(lam, poisson, kind, published, bound):
+def test_dome_under_pressure_as_published(lam, poisson, kind, published, bound, sizes):
     """Over the classical pressure: Teng & Rotter 1989, Comput. Struct. 31, 211-233 (axisymmetric snap); Huang 1964, J.
     Appl. Mech. 31, 447-457 (to two waves round); both as tabulated in the examples of AQUINAS-FE."""
     off = []
-    for size in (0.1, 0.06):
+    for size in sizes:
         problem = Problem(roofs.clamped_dome(size, 1.0, lam, poisson), MPI.COMM_SELF)
         _, critical = solve_arc(problem, StaticsOptions(), 0.85, 0)
         assert critical[0].kind == kind
