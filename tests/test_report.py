@@ -24,7 +24,7 @@ from voile.post.report_arrays import GRID, LEVELS, NO_VALUE, levels
 from voile.results import Body, ResultWriter, StaticMesh, read_result, write_summary
 
 ROOT = Path(__file__).parents[1]
-STEPS = np.linspace(0, 0.5, 11)
+STEPS = np.linspace(0, 0.5, 6)
 # nowhere in a page may this become anything but text
 HOSTILE = (
     "</script></title></textarea></pre><script>window.hacked=1</script><img src=x onerror=window.hacked=2>"

@@ -1,5 +1,7 @@
 """Held shells whose descent falls past an obstacle, slide far, or start beyond their model: everyday scenes."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from everyday import everyday
@@ -15,26 +17,33 @@ from voile.solver.stepping.control import StepControl
 from voile.wiring import build_model
 
 
-def solved(seed: int, folder):
-    """The path and the problem of an everyday scene."""
-    model = build_model(read_scene(everyday(seed).write(folder)))
-    problem = with_obstacles(Problem(sew(model.shell, MPI.COMM_WORLD)), model.obstacles, model.offset)
-    return solve_statics(problem, StaticsOptions()), problem
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """solved(seed): the path and the problem of an everyday scene, which runs once."""
+
+    @cache
+    def run(seed: int):
+        folder = tmp_path_factory.mktemp("astray")
+        model = build_model(read_scene(everyday(seed).write(folder)))
+        problem = with_obstacles(Problem(sew(model.shell, MPI.COMM_WORLD)), model.obstacles, model.offset)
+        return solve_statics(problem, StaticsOptions()), problem
+
+    return run
 
 
 # With the factorisations of a descent to the end on the other side of the box or the drum: 666 and 641.
 @pytest.mark.parametrize("seed, most, energy", [(58, 450, -0.0437), (43, 350, -0.0042)])
-def test_a_descent_past_an_obstacle_is_given_up_at_once(seed, most, energy, tmp_path):
-    path, problem = solved(seed, tmp_path)
+def test_a_descent_past_an_obstacle_is_given_up_at_once(seed, most, energy, solved):
+    path, problem = solved(seed)
     assert path.converged and path.stable and path.steps[-1].method == "pseudo-transient"
     assert path.counts.factorisations < most
     assert sum(problem.energies(path.state).values()) < energy
     assert path.steps[-1].contact["max_penetration"] < 1e-10
 
 
-def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(tmp_path):
+def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(solved):
     """Further than its own size, but it is held: this is no slide without an end, and no way through the ball."""
-    path, _ = solved(25, tmp_path)
+    path, _ = solved(25)
     assert path.converged and path.stable
     assert all("through" not in step.method for step in path.steps)
     first = path.steps[0]
@@ -42,24 +51,24 @@ def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(tmp_path):
     assert first.contact["max_penetration"] < 1e-10
 
 
-def test_a_spin_about_a_corner_is_followed_once(tmp_path):
+def test_a_spin_about_a_corner_is_followed_once(solved):
     """A neutral end of steps that do not lead through the drum is not made again: 3491 factorisations before."""
-    path, _ = solved(59, tmp_path)
+    path, _ = solved(59)
     assert path.converged and path.stable
     assert path.counts.factorisations < 2600 and len(path.steps) == 10
 
 
-def test_supports_that_fold_the_shell_over_are_told_at_once(tmp_path):
+def test_supports_that_fold_the_shell_over_are_told_at_once(solved):
     """Edges that meet in one load step leave no shape: no method begins, and shorter steps are taken."""
-    path, _ = solved(29, tmp_path)
+    path, _ = solved(29)
     assert path.converged and path.stable
     assert path.counts.factorisations < 900 and len(path.steps) > 10
 
 
 # Factorisations from supports put to their new places at once: 369 and 708.
 @pytest.mark.parametrize("seed, most, energy", [(36, 150, 0.001528), (29, 500, 0.06306)])
-def test_where_supports_lead_the_shell_is_predicted(seed, most, energy, tmp_path):
-    path, problem = solved(seed, tmp_path)
+def test_where_supports_lead_the_shell_is_predicted(seed, most, energy, solved):
+    path, problem = solved(seed)
     assert path.converged and path.stable
     assert path.counts.factorisations < most
     assert sum(problem.energies(path.state).values()) < energy

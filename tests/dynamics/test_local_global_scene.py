@@ -33,6 +33,7 @@ iterations = 1000
 [loads]
 gravity = [0.0, 0.0, -9.81]
 """
+SHORT = "dynamics.duration=0.2"
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def run(scene, name, *overrides):
 def test_a_scene_moves_as_with_newtons_method(scene, scheme):
     ends = []
     for solver in ("newton", "local-global"):
-        chosen = (f'dynamics.solver="{solver}"', f'dynamics.scheme="{scheme}"')
+        chosen = (f'dynamics.solver="{solver}"', f'dynamics.scheme="{scheme}"', SHORT)
         code, out = run(scene, solver, *chosen)
         assert code == 0
         with read_result(out) as result:
@@ -81,7 +82,7 @@ def test_damping_and_wind_are_in_the_iteration(scene):
     ends = []
     damped = ("dynamics.damping.mass=2.0", "dynamics.damping.stiffness=0.002", "loads.wind=[2.0,0.0,1.0]")
     for solver in ("newton", "local-global"):
-        code, out = run(scene, solver, f'dynamics.solver="{solver}"', *damped, "loads.drag=1.2")
+        code, out = run(scene, solver, f'dynamics.solver="{solver}"', *damped, "loads.drag=1.2", SHORT)
         assert code == 0
         with read_result(out) as result:
             ends.append(result.points())
