@@ -107,6 +107,7 @@ class LoadPath:
             problem.unknowns_of(start).copy(path.state)
             if done is None:
                 path.blurred = self._blurred(outcome)
+                problem.restore(y, start)  # from the guess, too, which went as far as the step
                 self.problem = problem.at(control.factor)
                 if not self._retry(outcome):
                     path.reason = f"{outcome.reason}; at load factor {problem.time:g}"
@@ -177,8 +178,8 @@ class LoadPath:
     def _retry(self, outcome: Outcome) -> bool:
         """Chooses the next try after a failure; False where there is none."""
         problem, control = self.problem, self.control
-        if problem.contact and control.last_resort:
-            if control.nominal == 1.0 or self.moving or outcome.gone:
+        if problem.contact and control.last_resort and (outcome.gone or not self.moving):
+            if control.nominal == 1.0 or outcome.gone:
                 return False
             control.whole()
             return True
