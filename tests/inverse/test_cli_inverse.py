@@ -148,12 +148,11 @@ def test_a_rest_shape_is_kept_before_it_is_proved(on_a_rod, monkeypatch):
     assert (on_a_rod / "out" / "pattern.dxf").stat().st_size > 1000
 
 
-def test_ranks_find_the_same_rest_shape(on_a_rod, mpirun, rank_counts):
+def test_ranks_find_the_same_rest_shape(on_a_rod, run_on, rank_counts):
     assert run(on_a_rod)[0] == 0
     one = read_mesh(on_a_rod / "out" / "rest.obj").points
     for ranks in rank_counts[1:]:
-        done = mpirun(ranks, ["-wdir", str(on_a_rod), *command()], 200)
-        assert done.returncode == 0, done.stderr
+        run_on(ranks, on_a_rod / "scene.toml", on_a_rod / "out", 200)
         np.testing.assert_allclose(read_mesh(on_a_rod / "out" / "rest.obj").points, one, atol=1e-9)
 
 
@@ -213,18 +212,12 @@ def test_estimating_with_an_unknown_rest_shape_is_refused(on_a_rod):
 
 
 @pytest.mark.parametrize("ranks", [1, 2])
-def test_flaps_that_turn_freely_are_left_out_and_told_of(tmp_path, mpirun, ranks):
+def test_flaps_that_turn_freely_are_left_out_and_told_of(tmp_path, run_on, ranks):
     points, triangles, fixed, _ = sheet_with_flap(2)
     write_obj(tmp_path / "target.obj", points, triangles)
     held = f"[[fix]]\nselect = {{ nodes = {np.flatnonzero(fixed[:, 0]).tolist()} }}"
     scene(tmp_path, held, bending="average", young=1e10)
-    if ranks == 1:
-        code, said = run(tmp_path)
-        assert code == 0, said
-    else:
-        at = [*command()[:4], str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")]
-        done = mpirun(ranks, at, 100)
-        assert done.returncode == 0, done.stdout + done.stderr
+    run_on(ranks, tmp_path / "scene.toml", tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["converged"] and any("hang by one or two vertices" in note for note in summary["notes"])
     n = len(points) - 2
@@ -284,7 +277,7 @@ def test_panels_are_cut_sewn_and_draped_again(tmp_path):
     assert np.linalg.norm(draped_from_pattern(tmp_path) - sewn.points, axis=1).max() < 0.01 * height
 
 
-def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, mpirun):
+def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, run_on):
     """Than with free seams, and so does their pattern, sewn and draped again, on one rank and on two."""
     height, sags = hanging_cone(tmp_path, inverse='developable = "panels"\niterations = 8'), []
     for bends in ("false", "true"):
@@ -301,8 +294,7 @@ def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, mpirun):
     draped = draped_from_pattern(tmp_path)
     sewn = read_mesh(tmp_path / "out" / "rest.obj").points
     assert np.linalg.norm(draped - sewn, axis=1).max() < 2e-3 * height
-    done = mpirun(2, ["-wdir", str(tmp_path), *command()], 100)
-    assert done.returncode == 0, done.stderr
+    run_on(2, tmp_path / "scene.toml", tmp_path / "out")
     with read_result(tmp_path / "out") as result:
         np.testing.assert_allclose(result.points(-1), draped, atol=1e-10)
 

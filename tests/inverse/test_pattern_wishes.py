@@ -1,7 +1,6 @@
 """What a pattern maker asks for: symmetry, grain, ease and allowance of single panels and seams."""
 
 import json
-import sys
 import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
@@ -333,7 +332,7 @@ def test_a_mesh_that_does_not_mirror_itself_is_made_to(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
-def test_symmetric_panels_are_those_that_are_proved(tmp_path, mpirun):
+def test_symmetric_panels_are_those_that_are_proved(tmp_path, run_on):
     """On one rank and on two: the panels of rest.obj are the pattern, which symmetry no longer moves."""
     wishes = '[pattern]\nsymmetric = "x"\n'
     path = scene(tmp_path, wishes, size=0.1)
@@ -346,11 +345,7 @@ def test_symmetric_panels_are_those_that_are_proved(tmp_path, mpirun):
     sags = []
     for ranks in (1, 2):
         out = tmp_path / f"out{ranks}"
-        if ranks == 1:
-            assert main(["run", path, "-o", str(out)]) == 0
-        else:
-            done = mpirun(2, [sys.executable, "-m", "voile.cli", "run", path, "-o", str(out)], 100)
-            assert done.returncode == 0, done.stderr
+        run_on(ranks, Path(path), out)
         told = json.loads((out / "summary.json").read_text())["inverse"]
         assert told["pattern"]["symmetric"]["moved"] < 1e-12 and len(told["pattern"]["panels"]) == 4
         sags.append(told["sag"])
