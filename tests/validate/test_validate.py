@@ -27,6 +27,7 @@ LONG = {
     "friction-pad",
     "lateral-buckling",
     "mylar-balloon",
+    "restitution",
     "rotating-sphere",
     "slit-annulus",
     "sliding-sheet",

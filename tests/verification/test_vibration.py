@@ -82,7 +82,7 @@ def supported(cells: int) -> np.ndarray:
     fabric = {"young": YOUNG, "poisson": POISSON, "thickness": THICKNESS, "density": DENSITY}
     shell = cloth(points, triangles, fixed=fixed, gravity=np.zeros(3), **fabric)
     scheme = SchemeOptions(spectral_radius=0.9)
-    run = move(shell, "generalized-alpha", period / 40.0, 12.0 * period, kick, tolerance=1e-6, asked=scheme)
+    run = move(shell, "generalized-alpha", period / 40.0, 8.0 * period, kick, tolerance=1e-6, asked=scheme)
     assert run.path.converged
     spots = [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)]
     at = [int(np.argmin((x - a) ** 2 + (y - b) ** 2)) for a, b in spots]
