@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import voile
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -36,16 +37,17 @@ QUICK = [row for row in EXTREMES.all_rows() if row.quick]
 
 
 @pytest.mark.parametrize("row", QUICK, ids=lambda row: row.name)
-def test_extreme(row, tmp_path):
-    outcome = EXTREMES.run(row, tmp_path)
+def test_extreme(row, tmp_path, capfd):
+    outcome = EXTREMES.run(row, tmp_path, voile)
     assert not outcome.wrong, outcome
+    assert not capfd.readouterr().err  # what PETSc itself would print
     assert outcome.converged == (not row.says)
 
 
 def test_a_wrong_word_is_caught(tmp_path):
     """The script's own check: a shape solved for other weights is no equilibrium of the row's."""
     row = next(row for row in QUICK if row.name.startswith("cloth held"))
-    assert not EXTREMES.run(row, tmp_path).wrong
+    assert not EXTREMES.run(row, tmp_path, voile).wrong
     with EXTREMES.read_result(tmp_path / "out") as result:
         summary = EXTREMES.json.loads((tmp_path / "out" / "summary.json").read_text())
         heavier = replace(row, gravity=(0.0, 0.0, -9.82))
