@@ -319,6 +319,7 @@ def test_explain_tells_of_self_contact(tmp_path, capsys):
 @pytest.mark.mpi
 def test_ranks_agree(tmp_path, run_on):
     path = loop_scene(tmp_path)
+    path.write_text(path.read_text() + "[statics]\nload_steps = 5\n")
     found = []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)

@@ -31,7 +31,7 @@ frame_time = 0.05
 friction = 0.3
 [dynamics]
 time_step = 0.01
-duration = 0.2
+duration = 0.3
 tolerance = 1e-7
 iterations = 500
 """
