@@ -268,13 +268,19 @@ def _weave(scene: Scene, surface: Surface, rest: Rest, *fabric: Reals) -> Reals 
     if scene.shell.material != "orthotropic":
         return None
     woven = Woven(*(_fabric(scene, surface, name) for name in WOVEN))
+    try:
+        warp = warp_on(scene, surface, rest)
+        return weave_rows(rest.points, rest.triangles, warp, *fabric, woven=woven)
+    except InputError as error:
+        raise InputError(f"{scene.path}: {error}") from None
+
+
+def warp_on(scene: Scene, surface: Surface, rest: Rest) -> Reals:
+    """(m, 3) warp directions that the scene gives a rest shape."""
     warps = [(np.ones(len(surface.triangles), dtype=bool), scene.shell.warp or "v", "shell.warp")]
     groups = enumerate(_groups(scene, surface))
     warps += [(chosen, each.warp, f"fabric.{k}.warp") for k, (chosen, each) in groups if each.warp]
-    try:
-        return weave_rows(rest.points, rest.triangles, warp_of(rest, surface, warps), *fabric, woven=woven)
-    except InputError as error:
-        raise InputError(f"{scene.path}: {error}") from None
+    return warp_of(rest, surface, warps)
 
 
 def _plate(thickness: Reals, young: Reals, poisson: Reals, weave: Reals | None) -> Reals:

@@ -124,6 +124,15 @@ def warp_directions(rest: Reals, triangles: Ints, weave: Reals) -> Reals:
     return found
 
 
+def turned(rest: Reals, triangles: Ints, weave: Reals, warp: Reals) -> float:
+    """The largest angle (rad) on rest triangles (m, 3) between the warp of a weave (m, 9) and the projection of other
+    directions (m, 3)."""
+    own = warp_directions(rest, triangles, weave)
+    other = warp_directions(rest, triangles, warp_components(rest, triangles, warp))
+    cross, dot = np.linalg.norm(np.cross(own, other), axis=1), abs(np.einsum("ti,ti->t", own, other))
+    return float(np.arctan2(cross, dot).max(initial=0.0))
+
+
 def warp_components(rest: Reals, triangles: Ints, warp: Reals) -> Reals:
     """(m, 2) components of the warp's projection in the basis of the edges from the first corner, of unit length."""
     edges = rest[triangles[:, 1:]] - rest[triangles[:, :1]]

@@ -10,13 +10,14 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Ints, Reals
+from voile.elastic.weave import turned
 from voile.errors import Hinged, on_root
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.journal import Journal
 from voile.inverse.pattern import write_rest_obj
 from voile.inverse.result import InverseResult
 from voile.inverse.solve import InverseOptions, Told, solve_inverse, solve_panels
-from voile.mesh import METRES, write_obj
+from voile.mesh import METRES, Rest, write_obj
 from voile.problem.constraints import build_constraints
 from voile.problem.partition import gathered
 from voile.problem.shell import Shell
@@ -35,7 +36,9 @@ from voile.tasks.patterns import (
     write_pattern_files,
 )
 from voile.tasks.run import Run, rows
-from voile.wiring import Model
+from voile.wiring import Model, warp_on
+
+TURNED = np.radians(1.0)  # of the warp: the denim skirt of docs/fabrics.md, 6.9 degrees, hung otherwise
 
 Found = tuple[InverseResult, FlatPanels | None, dict[str, Any] | None]
 
@@ -58,10 +61,10 @@ def find_surface(job: Run, shell: Shell | None, options: InverseOptions) -> Foun
 
 def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
     """`find_surface`, whose files are written before its proof: a long simulation may be stopped."""
-    problem, figures = job.problem(shell), None
+    problem, figures, rest = job.problem(shell), None, None
 
     def write(z: PETSc.Vec) -> None:
-        nonlocal figures
+        nonlocal figures, rest
         rest = gathered(problem, problem.positions(problem.create_vector()) + problem.motion(z))
         figures = on_root(job.comm, lambda: _write_surface(job, shell, rest))
 
@@ -76,7 +79,22 @@ def _find(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
         told=_told(job, write),
         journal=_journal(job),
     )
+    on_root(job.comm, lambda: _tell_of_warp(job, shell, rest))
     return result, None, figures
+
+
+def _tell_of_warp(job: Run, shell: Shell | None, rest: Reals | None) -> None:
+    """A note where the warp, which went along with the triangles, is another than the scene gives the rest shape that
+    was found."""
+    if job.model is None or shell is None or shell.weave is None or rest is None:
+        return
+    shape = Rest(rest, shell.triangles, False)
+    angle = turned(rest, shell.triangles, shell.weave, warp_on(job.scene, job.model.surface, shape))
+    if angle > TURNED:
+        job.tell(
+            f"the warp went along with its triangles: it lies up to {np.degrees(angle):.1f} degrees off where the "
+            "scene's warp is on rest.obj, and so would be in another scene; by texture coordinates it goes along"
+        )
 
 
 def find_panels(job: Run, shell: Shell | None, options: InverseOptions) -> Found:
