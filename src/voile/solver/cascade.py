@@ -30,7 +30,10 @@ class Cascade:
         """See Method."""
         outcome = Outcome(False, "", "no method")
         for method in self.methods:
-            outcome = attempt(method, problem, y, tolerance)
+            found = attempt(method, problem, y, tolerance)
+            if not found.converged and not found.reason:
+                continue  # nothing that it could try: what failed before tells more
+            outcome = found
             if outcome.saddle and self.off_saddle and method is self.methods[0]:
                 outcome = self._leave(problem, y, tolerance, outcome)
             if outcome.converged or outcome.gone:

@@ -38,7 +38,7 @@ class Tied:
         """See Method."""
         options, tied = self.options, TiedContact(contact_of(problem), problem.positions(y), problem.time)
         if problem.everywhere(not tied.active):
-            return Outcome(False, self.name, "no contact is active")
+            return Outcome(False, self.name, "")
         settled = self.descent.run(
             problem.with_terms(tied), y, options.settled * tolerance, options.iterations
         )

@@ -254,7 +254,7 @@ class LoadPath:
         assert start.history is not None
         began = start.history.reference
         if (
-            problem.held
+            (problem.held or self.moving)
             and not watched
             and leads_through(problem, began, control.factor, problem.positions(y))
         ):

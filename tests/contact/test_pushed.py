@@ -1,8 +1,9 @@
-"""A ring between two plates that nothing but they hold: force and flattened part against the elastica."""
+"""Shells that nothing but obstacles hold, which move: a ring between two plates, a strip on rods."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
+from test_problem import sheet
 
 import voile
 
@@ -65,3 +66,36 @@ def test_plates_that_move_far_in_a_step_squeeze_a_free_ring():
     below, above = (plate["force"][1] for plate in summary["contact"]["obstacles"])
     assert below == pytest.approx(elastica(squeezed), rel=0.04)
     assert above == pytest.approx(-below, rel=1e-6)
+
+
+def test_rods_that_move_far_in_a_step_do_not_push_a_free_strip_through_others():
+    """A strip on two rods, a third pushes its middle down by 3 mm a step (it ended flat below them, converged)."""
+    points, triangles = sheet(80, 2, 0.4, 0.02)
+    points = points - [0.2, 0.01, 0.0]
+    rods = [
+        {
+            "shape": "cylinder",
+            "axis": [0.0, 1.0, 0.0],
+            "radius": 0.005,
+            "friction": 0.2,
+            "center": [x, 0.0, z],
+        }
+        for x, z in ((-0.15, -0.0055), (0.15, -0.0055), (0.0, 0.0055))
+    ]
+    rods[2]["move"] = {"displacement": [0.0, 0.0, -0.015]}
+    scene = {
+        "shell": {
+            "mesh": (points, triangles),
+            "young": 2e8,
+            "poisson": 0.0,
+            "thickness": 1e-3,
+            "density": 1.0,
+        },
+        "loads": {"gravity": [0.0, 0.0, 0.0]},
+        "obstacle": rods,
+        "statics": {"load_steps": 5},
+    }
+    result = voile.run(scene)
+    left, right, pushed = (rod["force"][2] for rod in result.summary["contact"]["obstacles"])
+    assert left > 0.0 and right > 0.0 and pushed == pytest.approx(-left - right, rel=1e-6)
+    assert (result.positions[np.abs(points[:, 0]) > 0.16, 2] > 0.0).all()
