@@ -46,11 +46,17 @@ def preload() -> None:
     import h5py  # noqa: F401
     import matplotlib.pyplot  # noqa: F401
     import meshio  # noqa: F401
-    import pyvista  # noqa: F401
+    import pyvista.plotting  # noqa: F401
+    from PIL import Image
 
+    import voile.api
     import voile.explain
     import voile.post
     import voile.wiring  # noqa: F401
+    from voile.commands import all_commands
+
+    Image.preinit()
+    all_commands()
 
 
 def small_result(folder: Path) -> Path:
