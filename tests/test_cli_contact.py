@@ -1,12 +1,11 @@
 """Scenes with obstacles from outside: bad input, what is explained and stored, a shell that nothing stops, ranks."""
 
-import subprocess
-import sys
 import time
 
 import h5py
 import numpy as np
 import pytest
+from command_line import voile as program
 from mesh_helpers import generator
 
 import voile
@@ -15,7 +14,6 @@ from voile.contact.obstacles import Box
 from voile.post.contact import surfaces
 from voile.results import read_result, read_summary
 
-VOILE = [sys.executable, "-m", "voile.cli"]
 # A stiff sheet of 0.2 m, its edge x = 0 held, over a cylinder across its middle.
 SCENE = """
 [shell]
@@ -189,9 +187,7 @@ def test_results_hold_the_obstacles_where_they_are_at_each_step(scene, tmp_path)
         + "move = { displacement = [0.0, 0.0, 0.02], rotation = [0, 0.5, 0], center = [0.12, 0, 0] }\n"
     )
     path = scene(SCENE.replace(OBSTACLE, moved) + "[statics]\nload_steps = 2\n")
-    done = subprocess.run(
-        [*VOILE, "run", path, "-o", tmp_path / "out"], capture_output=True, text=True, timeout=100
-    )
+    done = program("run", path, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     with read_result(tmp_path / "out") as result:
         assert [(body.name, body.friction) for body in result.bodies] == [("cylinder 0", 0.3)]
@@ -219,9 +215,7 @@ def test_an_unsupported_shell_that_meets_nothing_is_said_to_fall_at_once(scene, 
     plane = '[[obstacle]]\nshape = "plane"\npoint = [0, 0, -100]\nnormal = [0, 0, 1]\n'
     path = scene(SCENE.replace(held, "").replace(OBSTACLE, plane))
     began = time.perf_counter()
-    done = subprocess.run(
-        [*VOILE, "run", path, "-o", tmp_path / "out"], capture_output=True, text=True, timeout=100
-    )
+    done = program("run", path, "-o", tmp_path / "out")
     assert done.returncode == 3 and done.stderr.count("\n") == 1, done.stderr
     assert "no equilibrium within its own size" in done.stderr and "-1.000) past plane 0" in done.stderr
     assert time.perf_counter() - began < 30.0  # 1.5 s where nothing else runs

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import voile
 
 from voile.results import read_result, read_summary
 
@@ -20,8 +21,7 @@ def run(name: str, folder: Path, *options: str) -> subprocess.CompletedProcess[s
         generate = [sys.executable, str(ROOT / "meshes" / generator), *arguments, str(folder / mesh)]
         subprocess.run(generate, check=True, timeout=60)
     (folder / "scene.toml").write_text((ROOT / "runs" / name / "scene.toml").read_text())
-    command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out", *options]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=900)
+    return voile("run", "scene.toml", "-o", "out", *options, cwd=folder)
 
 
 @pytest.mark.parametrize(

@@ -100,10 +100,7 @@ def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):
         .replace('"target.obj"', '"target.obj"\nrest = "out/rest.obj"')
         .replace("[inverse]", "[statics]\nload_steps = 1")
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "again"],
-        cwd=on_a_rod, capture_output=True, text=True, timeout=200,
-    )  # fmt: skip
+    done = voile("run", "scene.toml", "-o", "again", cwd=on_a_rod)
     assert done.returncode == 0, done.stderr
     with read_result(on_a_rod / "again") as again:
         assert np.abs(again.points(-1) - target).max() < 2e-3  # it closes the gap of half a millimetre
@@ -257,8 +254,7 @@ def draped_from_pattern(folder) -> np.ndarray:
     text = (folder / "scene.toml").read_text().split("[inverse]")[0]
     text = text.replace('task = "inverse"', "").replace('"target.obj"', '"out/rest.obj"\nrest = "flat"')
     (folder / "scene.toml").write_text(text)
-    again = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "again"]
-    done = subprocess.run(again, cwd=folder, capture_output=True, text=True, timeout=200)
+    done = voile("run", "scene.toml", "-o", "again", cwd=folder)
     assert done.returncode == 0, done.stderr
     with read_result(folder / "again") as draped:
         return draped.points(-1)

@@ -1,12 +1,11 @@
 """Targets in layers: cloth held by nothing but cloth, under Coulomb's law like any other contact."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import voile
 from inverse_shells import grid, shell
 from scipy.spatial import Delaunay
 from test_cli_inverse import ROD, SCENE
@@ -160,7 +159,6 @@ def test_layers_through_each_other_are_refused(tmp_path):
     points, triangles, above = two_tubes()
     points[above] += [0.001, 0.003, 0.002]
     layered_scene(tmp_path, points, triangles)
-    command = [sys.executable, "-m", "voile.cli", "run", tmp_path / "scene.toml", "-o", tmp_path / "out"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    done = voile("run", tmp_path / "scene.toml", "-o", tmp_path / "out")
     assert done.returncode == 2 and "passing through itself" in done.stderr
     assert done.stderr.count("voile:") == 1
