@@ -143,12 +143,12 @@ def test_pushed_cylinder():
 def test_lateral_buckling_under_own_weight(poisson):
     """Narrow strips: 12.85376 sqrt(2 / (1 + nu)); the plate's correction falls with its width."""
     slender = 12.85376 * np.sqrt(2.0 / (1.0 + poisson))
-    found = [vibrating.own_weight(b, 50.0, round(4 / b), 4, poisson) for b in (0.1, 0.05, 0.025)]
+    found = [vibrating.own_weight(b, 50.0, round(4 / b), 4, poisson) for b in (0.05, 0.025)]
     assert abs(found[-1] / slender - 1.0) < 0.015
     assert abs((2.0 * found[-1] - found[-2]) / slender - 1.0) < 0.002
 
 
 def test_lateral_buckling_under_a_tip_load():
-    found = [vibrating.tip_load(b, 50.0, round(4 / b), 4) for b in (0.1, 0.05, 0.025)]
+    found = [vibrating.tip_load(b, 50.0, round(4 / b), 4) for b in (0.05, 0.025)]
     assert abs(found[-1] / 4.013 - 1.0) < 0.01
     assert abs((2.0 * found[-1] - found[-2]) / 4.013 - 1.0) < 0.002
