@@ -126,7 +126,7 @@ def test_a_rest_shape_and_a_body_of_arrays():
     ball = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) * 0.05
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     scene = cantilever(4)
-    scene["shell"]["rest"] = (1.001 * points, triangles)
+    scene["shell"]["rest"] = ((1.001 * points).tolist(), triangles.tolist())  # lists of rows do, too
     scene["obstacle"] = [{"shape": "mesh", "file": (ball - [0, 0, 0.3], faces)}]
     result = voile.run(scene)
     np.testing.assert_array_equal(result.rest, 1.001 * points)

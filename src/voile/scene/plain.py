@@ -18,14 +18,15 @@ ARRAYS = "arrays: "  # what stands for a mesh of arrays in a scene's text begins
 
 
 def plain(value: Any) -> Any:
-    """A value as TOML reads one: dicts, lists, numbers, text; a pair of arrays (n, 2 or 3), (m, 3) is a mesh.
-    Raises Rejected for others, with the keys that lead there."""
+    """A value as TOML reads one: dicts, lists, numbers, text; a pair of arrays or lists of rows, (n, 2 or 3), (m, 3),
+    is a mesh. Raises Rejected for others, with the keys that lead there."""
     if isinstance(value, Mapping):
         return {str(name): _under(str(name), entry) for name, entry in value.items()}
     if isinstance(value, tuple | list):
-        if len(value) == 2 and all(isinstance(v, np.ndarray) and v.ndim == 2 for v in value):
+        both = [_matrix(entry) for entry in value] if len(value) == 2 else []
+        if both and all(entry is not None for entry in both):
             try:
-                return mesh_of_arrays(*value)
+                return mesh_of_arrays(*both)
             except ValueError as error:
                 raise Rejected(str(error)) from None
         return [_under(index, entry) for index, entry in enumerate(value)]
@@ -40,6 +41,16 @@ def plain(value: Any) -> Any:
     raise Rejected(
         f"{type(value).__name__} is not allowed; allowed: dicts, lists, arrays, numbers, text, paths"
     )
+
+
+def _matrix(value: Any) -> Any:
+    """A value with rows, as an array or lists of them have; None of others."""
+    if isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple | np.ndarray):
+        try:
+            value = np.array(value)
+        except ValueError:  # rows of several lengths
+            return None
+    return value if isinstance(value, np.ndarray) and value.ndim == 2 else None
 
 
 def _under(name: str | int, value: Any) -> Any:
