@@ -50,6 +50,16 @@ def test_bending_stiffnesses_of_both_directions():
         assert found["estimate"][name]["value"] == pytest.approx(own[name], rel=0.01)
 
 
+def test_what_follows_by_a_rule_goes_along():
+    """Shear and twist that no key gives stayed those of the first guess: moduli came out up to 1.7 per cent off."""
+    given = scene(bending_warp=4e-5, bending_weft=1e-5)
+    del given["shell"]["shear"]
+    found = estimated(given, {"young": 5e5, "young_weft": 0.7e5}, list(EXACT))
+    assert found["misfit"] < 1e-8
+    for name, value in EXACT.items():
+        assert found["estimate"][name]["value"] == pytest.approx(value, rel=1e-6)
+
+
 def test_a_direction_that_nothing_strains_is_refused():
     """Held at both ends and pulled in its plane along the warp, without Poisson's effect."""
     given = scene(poisson=0.0, warp=[1, 0, 0])

@@ -1,6 +1,6 @@
 """Woven fabrics: orthotropic about a warp direction per triangle, as the kernels take them (Weave in models.hpp)."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,15 +88,25 @@ def stiffnesses(weave: Reals, young: Reals, poisson: Reals) -> dict[str, Reals]:
     return {name: young * ratio for name, ratio in found.items()}
 
 
-def restiffened(weave: Reals, young: Reals, poisson: Reals, given: Mapping[str, Reals | float]) -> Reals:
-    """Weaves (m, 9) with some of `stiffnesses` (Pa or N m) as given; the others keep their ratios to the warp's
-    modulus."""
+def restiffened(
+    weave: Reals,
+    young: Reals,
+    poisson: Reals,
+    given: Mapping[str, Reals | float],
+    ruled: Collection[str] = (),
+) -> Reals:
+    """Weaves (m, 9) with some of `stiffnesses` (Pa or N m) as given; shear and bending_twist where `ruled` names them
+    by Huber's rule; the others keep their ratios to the warp's modulus."""
     new = stiffnesses(weave, young, poisson) | {name: value + 0.0 * young for name, value in given.items()}
     weft = new["young_weft"] / young
+    if "shear" in ruled:
+        new["shear"] = young * np.sqrt(weft) / (2.0 * (1.0 + poisson * np.sqrt(weft)))
     rows = [*weave[:, :2].T, weft, new["shear"] / young, weave[:, 4]]
     if "bending_warp" not in new:
         return np.column_stack([*rows, weave[:, 5:]])
     mean, warps, wefts = poisson * np.sqrt(weft), new["bending_warp"] / young, new["bending_weft"] / young
+    if "bending_twist" in ruled:
+        new["bending_twist"] = young * np.sqrt(warps * wefts) / (2.0 * (1.0 + mean))
     plate = 1.0 / (1.0 - mean**2)
     bends = warps * plate, mean * np.sqrt(warps * wefts) * plate, wefts * plate, new["bending_twist"] / young
     return np.column_stack([*rows, *bends])

@@ -1,5 +1,6 @@
 """An experiment that ended in an observed equilibrium, and its simulation with other parameters."""
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -42,9 +43,11 @@ class Observation:
         obstacles: tuple[Obstacle, ...] = (),
         offset: float = 0.0,
         steps: int = 1,
+        ruled: Collection[str] = (),
     ):
         """observed (local vertices, 3) m: the start shape where None; offset (m) from the mid-surface to the surface
-        that touches."""
+        that touches; ruled: stiffnesses of a woven fabric that follow the others by Huber's rule."""
+        self.ruled = ruled
         self.problem, self.obstacles, self.offset = problem, obstacles, offset
         self.flat, self.woven = problem.flat, bool(problem.part.weave.size)
         self.stiffnesses = stiffnesses(problem.part.weave, *problem.part.fabric[1:3]) if self.woven else {}
@@ -103,7 +106,8 @@ class Observation:
             given = self.stiffnesses | {name: values[name] for name in names} if names else {}
             if (fabric[2] ** 2 * given.get("young_weft", 0.0) >= fabric[1]).any():
                 return False
-            problem.part.weave = restiffened(problem.part.weave, fabric[1], fabric[2], given)
+            ruled = set(self.ruled) - values.keys() if names else ()
+            problem.part.weave = restiffened(problem.part.weave, fabric[1], fabric[2], given, ruled)
             problem.kernel.set_weave(np.ascontiguousarray(problem.part.weave))
         problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
         problem.set_rest(problem.part.rest_points, self.flat)

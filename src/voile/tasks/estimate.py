@@ -133,7 +133,9 @@ def _observation(other: tuple[Scene, Model] | None, job: Run) -> tuple[Shell | N
     shell = sew(other[1].shell if other else None, comm)
     problem = job.problem(shell)
     local = None if observed is None else observed[problem.part.vertex]
-    return shell, Observation(problem, local, obstacles, offset, steps)
+    tables = (job.scene.shell, *job.scene.fabric)
+    ruled = [name for name in ("shear", "bending_twist") if all(getattr(t, name) is None for t in tables)]
+    return shell, Observation(problem, local, obstacles, offset, steps, ruled)
 
 
 def _seen(scene: Scene, model: Model) -> tuple[Reals | None, int | None, tuple[Obstacle, ...], float]:
