@@ -93,10 +93,11 @@ def restiffened(
     young: Reals,
     poisson: Reals,
     given: Mapping[str, Reals | float],
+    thickness: Reals | float = 0.0,
     ruled: Collection[str] = (),
 ) -> Reals:
-    """Weaves (m, 9) with some of `stiffnesses` (Pa or N m) as given; shear and bending_twist where `ruled` names them
-    by Huber's rule; the others keep their ratios to the warp's modulus."""
+    """Weaves (m, 9) with some of `stiffnesses` (Pa or N m) as given; those that `ruled` names by the rules of
+    `weave_rows`, those of strips by the thickness (m); the others keep their ratios to the warp's modulus."""
     new = stiffnesses(weave, young, poisson) | {name: value + 0.0 * young for name, value in given.items()}
     weft = new["young_weft"] / young
     if "shear" in ruled:
@@ -104,6 +105,9 @@ def restiffened(
     rows = [*weave[:, :2].T, weft, new["shear"] / young, weave[:, 4]]
     if "bending_warp" not in new:
         return np.column_stack([*rows, weave[:, 5:]])
+    for strip, modulus in (("bending_warp", young), ("bending_weft", new["young_weft"])):
+        if strip in ruled:
+            new[strip] = modulus * thickness**3 / 12.0
     mean, warps, wefts = poisson * np.sqrt(weft), new["bending_warp"] / young, new["bending_weft"] / young
     if "bending_twist" in ruled:
         new["bending_twist"] = young * np.sqrt(warps * wefts) / (2.0 * (1.0 + mean))

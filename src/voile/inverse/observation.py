@@ -46,7 +46,7 @@ class Observation:
         ruled: Collection[str] = (),
     ):
         """observed (local vertices, 3) m: the start shape where None; offset (m) from the mid-surface to the surface
-        that touches; ruled: stiffnesses of a woven fabric that follow the others by Huber's rule."""
+        that touches; ruled: stiffnesses of a woven fabric that follow the others by a rule."""
         self.ruled = ruled
         self.problem, self.obstacles, self.offset = problem, obstacles, offset
         self.flat, self.woven = problem.flat, bool(problem.part.weave.size)
@@ -106,8 +106,10 @@ class Observation:
             given = self.stiffnesses | {name: values[name] for name in names} if names else {}
             if (fabric[2] ** 2 * given.get("young_weft", 0.0) >= fabric[1]).any():
                 return False
-            ruled = set(self.ruled) - values.keys() if names else ()
-            problem.part.weave = restiffened(problem.part.weave, fabric[1], fabric[2], given, ruled)
+            ruled = set(self.ruled) - values.keys()
+            problem.part.weave = restiffened(
+                problem.part.weave, fabric[1], fabric[2], given, fabric[0], ruled
+            )
             problem.kernel.set_weave(np.ascontiguousarray(problem.part.weave))
         problem.kernel.set_fabric(*(np.ascontiguousarray(row) for row in fabric[:3]))
         problem.set_rest(problem.part.rest_points, self.flat)

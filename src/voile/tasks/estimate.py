@@ -134,7 +134,8 @@ def _observation(other: tuple[Scene, Model] | None, job: Run) -> tuple[Shell | N
     problem = job.problem(shell)
     local = None if observed is None else observed[problem.part.vertex]
     tables = (job.scene.shell, *job.scene.fabric)
-    ruled = [name for name in ("shear", "bending_twist") if all(getattr(t, name) is None for t in tables)]
+    names = ("shear", "bending_warp", "bending_weft", "bending_twist")
+    ruled = [name for name in names if all(getattr(table, name) is None for table in tables)]
     return shell, Observation(problem, local, obstacles, offset, steps, ruled)
 
 
