@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from moving import cloth, move
+from scipy.spatial import ConvexHull
 from test_problem import sheet
 from test_runs_in_time import SCENE, scene
 
@@ -98,8 +99,18 @@ def test_a_ball_that_swells_lifts_a_sheet():
     assert frames.distance(run.end, 0.2).min() > -1e-9
 
 
+def coarse_ball() -> tuple[np.ndarray, np.ndarray]:
+    """A sphere of radius 1 as 396 triangles: places on a spiral, a golden angle apart."""
+    z, turn = np.linspace(-1.0, 1.0, 200), np.pi * (3.0 - np.sqrt(5.0)) * np.arange(200)
+    points = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
+    triangles = ConvexHull(points).simplices
+    inward = np.linalg.det(points[triangles]) < 0.0
+    triangles[inward] = triangles[inward, ::-1]
+    return points, triangles
+
+
 def write_frames(folder: Path, count: int) -> None:
-    points, triangles = ball()
+    points, triangles = coarse_ball()
     for k in range(count):
         lines = [
             f"v {x!r} {y!r} {z!r}" for x, y, z in (0.1 * points + [0.5 + 0.01 * k, 0.25, -0.12]).tolist()
@@ -138,7 +149,7 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
     with read_result(tmp_path / "out") as result:  # pictures draw the body as it is at the step's time
         for step in (0, 4, -1):
             (drawn, _), shift = surfaces(result, step)[0], 0.1 * result.values[step]
-            np.testing.assert_allclose(drawn, 0.1 * ball()[0] + [0.5 + shift, 0.25, -0.12], atol=1e-7)
+            np.testing.assert_allclose(drawn, 0.1 * coarse_ball()[0] + [0.5 + shift, 0.25, -0.12], atol=1e-7)
         end = result.points()
     one = """obstacle.0={shape="mesh", file="body_000.obj", move={velocity=[0.1, 0.0, 0.0]}, friction=0.4}"""
     assert main(["run", str(scene), "-o", str(tmp_path / "moved"), "--set", one]) == 0
