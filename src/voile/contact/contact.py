@@ -24,6 +24,7 @@ from voile.contact.obstacle import Start
 from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer, within
 
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
+FIRMER = 10.0  # penalty of the equations over that of those before
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
 TURNED = 0.5  # cosine of the turn between normals that are on different sides of a body
 CLEAR = 0.02  # sizes: a gap from which it does not end there
@@ -179,5 +180,6 @@ class Contact(NaturalMap):
 
     def linearise(self, x: Reals, t: float, before: Linearised | None = None) -> Linearised:
         """The laws' semismooth Newton equations at x and the present reactions, which those `before` have left."""
-        equations = [Equations(self, p) for p in self.opening_pairs(x, t)]
-        return Linearised(self, equations, before.doubted if before else {})
+        firmness = min(FIRMER * before.firmness, 1.0) if before else self.firmness
+        equations = [Equations(self, p, firmness) for p in self.opening_pairs(x, t)]
+        return Linearised(self, equations, firmness, before.doubted if before else {})

@@ -15,11 +15,11 @@ class Equations:
     """Reactions f = a - D dx of the pairs with one partner for a step dx of their vertices, with constraints (gap and,
     for those that stick, slip) kept by a penalty and corrected by `advance`."""
 
-    def __init__(self, contact: NaturalMap, p: Pairs):
+    def __init__(self, contact: NaturalMap, p: Pairs, firmness: float):
         self.pairs, self.mu = p, p.friction
         s, rho = contact.history, p.rho
         self.partner, self.history = contact.partners[p.index], s
-        self.penalty = contact.penalty
+        self.penalty = firmness * contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
         self.active = p.gap <= contact.reach(p.index) if fresh else p.lam_n > 0.0
         self.normal = s.normal[p.index][p.row].copy()
@@ -108,11 +108,12 @@ class Equations:
 
 @dataclass
 class Linearised:
-    """Equations of all pairs that may carry a reaction. doubted: codes of contacts per partner that pull and are kept
-    closed, see `Equations.hold`."""
+    """Equations of all pairs that may carry a reaction. firmness: share of the whole penalty. doubted: codes of
+    contacts per partner that pull and are kept closed, see `Equations.hold`."""
 
     contact: NaturalMap
     parts: list[Equations]
+    firmness: float = 1.0
     doubted: dict[int, Ints] = field(default_factory=dict)
 
     @property

@@ -32,12 +32,14 @@ class Options:
     """iterations: those that converge take under 30, a front of contacts that moves row by row up to 60. corrections:
     solves with one factorisation that turn penalties into constraints, to round-off with three. patience:
     iterations without halving the norm after which it will not converge, or cycles. growth of the norm beyond which it
-    has left."""
+    has left. shortest: share of a Newton step down to which layers of the shell may cut it, for a step that they cut
+    is mostly one that contacts which contradict each other have led astray."""
 
     iterations: int = 60
     corrections: int = 3
     patience: int = 6
     growth: float = 1e8
+    shortest: float = 0.0
 
 
 class Semismooth:
@@ -144,7 +146,8 @@ class Iteration:
             if near and not held and problem.largest_motion(direction) < STILL:
                 self.method.still = True
                 return 0
-            self._step(linear, y, direction)
+            if self._step(linear, y, direction) < self.options.shortest:
+                return 0
         return 0
 
     def _solve(self, linear: Linearised, kind: str, y: PETSc.Vec, direction: PETSc.Vec) -> bool:
@@ -158,13 +161,14 @@ class Iteration:
         self.method.negative = solver.negative if solver.usable else None
         return bool(solver.usable and np.isfinite(direction.norm()))
 
-    def _step(self, linear: Linearised, y: PETSc.Vec, direction: PETSc.Vec) -> None:
-        """Takes as much of a Newton step as may be."""
+    def _step(self, linear: Linearised, y: PETSc.Vec, direction: PETSc.Vec) -> float:
+        """Takes as much of a Newton step as may be: that share."""
         problem = self.method.nonlinear.problem
         length = limit(problem, y, direction)
         problem.predict(y, direction)
         y.axpy(1.0, direction)
         linear.reactions(length)
+        return length
 
     def _back(self, snes: PETSc.SNES, y: PETSc.Vec, held: Held) -> int:
         """y and the reactions are again those of a state that converged; the reason why it did."""

@@ -314,8 +314,9 @@ class Stepper:
 
     def _guess(self, problem: Problem, prediction: Prediction) -> bool:
         """Goes as the last acceleration leads, as far as terms admit; where something pushed, as the velocity does,
-        for an impact is over; what stuck to an obstacle goes with it. Where supports move, layers must not pass through
-        each other as all goes there at once, or as supports do alone and then the rest: whether they do not."""
+        for an impact is over; what stuck to an obstacle goes with it. Layers that bear on each other do not go: where
+        the step starts their gaps are none. Where supports move, layers must not pass through each other as all goes
+        there at once, or as supports do alone and then the rest: whether they do not."""
         k, contact = self.kinematics, problem.contact
         goal = prediction.predicted + ~self.path.pushed[:, None] * k.acceleration / prediction.coefficient
         if contact:
@@ -330,7 +331,8 @@ class Stepper:
                 return True
             if contact.free_share(k.positions, problem.positions(self.y)) < 1.0:
                 return False
-        self.y.axpy(problem.longest_step(self.y, way), way)
+        if not (contact and contact.layered):
+            self.y.axpy(problem.longest_step(self.y, way), way)
         return True
 
     def _wanted(self, problem: Problem, prediction: Prediction) -> float:
