@@ -360,23 +360,6 @@ def test_supports_that_hold_layers_too_near_are_refused():
         with_obstacles(Problem(shell), [], 2.0 * offset, shell_layers(shell, 2.0 * offset, 0.0))
 
 
-def test_supports_do_not_carry_layers_through_each_other():
-    """Two strips, one above the other, the upper one's held end lowered through the lower one's."""
-    points, triangles = plate(0.3, 0.1, 0.05)
-    both = np.concatenate([points, points + 0.05 * UP + [0.02, 0.01, 0.0]])
-    ends = np.flatnonzero(both[:, 0] < 0.03)
-    lower, upper = ends[ends < len(points)], ends[ends >= len(points)]
-    masks = [np.isin(np.arange(len(both)), part) for part in (lower, upper)]
-    shell = shell_of(
-        both, np.concatenate([triangles, triangles + len(points)]), young=YOUNG, thickness=1e-3, density=DENSITY,
-        **held(both, (masks[0], np.zeros(3)), (masks[1], np.array([0.0, 0.0, -0.1]))),
-    )  # fmt: skip
-    problem = Problem(shell)
-    problem = with_obstacles(problem, [], OFFSET, shell_layers(shell, OFFSET, 0.0))
-    path = solve_statics(problem, StaticsOptions(load_steps=1))
-    assert not path.converged and "supports carry layers of the shell through each other" in path.reason
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_pleats_stay_untangled(friction):

@@ -31,15 +31,19 @@ def predict(
     work: Workspace, problem: Problem, y: PETSc.Vec, began: float, most: float, went: PETSc.Vec | None
 ) -> None:
     """Moves y from an equilibrium at the time `began` towards that at the problem's, where no motion is more than
-    `most` sizes and the shell out of balance by less than where it was. went: the load step before, as far as this one
-    goes."""
+    `most` sizes, no layer passes through another, and the shell is out of balance by less than where it was. went: the
+    load step before, as far as this one goes."""
     before, force, there, best = problem.at(began), y.duplicate(), y.duplicate(), y.copy()
+    start, contact = before.positions(y), contact_of(problem)
     problem.residual(y, force)
     first = least = force.norm()
     for step in _steps(work, before, problem, y, went):
         if not problem.largest_motion(step) < most or before.longest_step(y, step) < 1.0:
             continue
         there.waxpy(1.0, step, y)
+        # supports go there at once, too
+        if not problem.everywhere(contact.free_share(start, problem.positions(there)) == 1.0):
+            continue
         problem.residual(there, force)
         if force.norm() < least:
             least = force.norm()
