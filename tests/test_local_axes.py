@@ -74,11 +74,11 @@ def test_a_sheet_slides_down_an_inclined_plane_on_two_ranks(tmp_path, run_on):
     reaction is the weight's share along the plane, the plane bears the rest."""
     (tmp_path / "sheet.obj").write_text(_obj(*sheet(6, SIZE)))
     slope, text = np.radians(30.0), "[scene]\ntask = 'statics'\n[shell]\nmesh = 'sheet.obj'\nyoung = 1e6\n"
-    down, normal = (np.sin(slope), 0.0, -np.cos(slope)), (0.0, 0.0, 1.0)
+    down, normal = (float(np.sin(slope)), 0.0, -float(np.cos(slope))), (0.0, 0.0, 1.0)
     text += f"thickness = 1e-3\ndensity = 1000.0\n[loads]\ngravity = {[9.81 * v for v in down]}\n"
     text += f"[[fix]]\nname = 'plane'\nselect = {{ all = true }}\naxes = 'x'\nframe = [{list(normal)}]\n"
     text += "[[fix]]\nname = 'rope'\nselect = { box = [[-1, -1, -1], [1e-6, 1, 1]] }\naxes = 'x'\n"
-    oblique = [np.cos(0.3), 0.0, np.sin(0.3)]  # together with the plane: no motion along x
+    oblique = [float(np.cos(0.3)), 0.0, float(np.sin(0.3))]  # together with the plane: no motion along x
     text += f"frame = [{oblique}]\n[[fix]]\nselect = {{ nodes = [0] }}\naxes = 'y'\n"
     (tmp_path / "scene.toml").write_text(text)
     for ranks in (1, 2):

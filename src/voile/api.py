@@ -237,7 +237,7 @@ def solve(
     petsc: Sequence[str] = (),
     resumes: bool = False,
     lasting: bool = True,
-    told: Sequence[int] | None = None,
+    told: list[int] | None = None,
 ) -> str:
     """Solves a scene into a folder, which exists: what `voile run` and `run` share. Returns why it did not converge, or
     nothing. Collective.
@@ -253,7 +253,7 @@ def solve(
 
     if blas.used().note:
         progress.line(f"note: {blas.used().note}")
-    comm, ending = progress.comm, () if told is None else told  # a list that grows
+    comm, ending = progress.comm, [] if told is None else told  # grows
     job = Run(scene, model, folder, comm, progress, began, resumes=resumes, lasting=lasting)
     task = import_module(f"voile.tasks.{scene.scene.task}")
     with options_of_run(petsc):

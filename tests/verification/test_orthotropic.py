@@ -41,7 +41,7 @@ CLAMP = "[[fix]]\nselect = { box = [[-1, -1, -1], [0.001, 1, 1]] }\nclamp = true
 
 def woven(angle: float) -> str:
     """The scene with its warp at an angle to x."""
-    return WOVEN.replace("[1, 0, 0]", f"[{np.cos(angle)!r}, {np.sin(angle)!r}, 0.0]")
+    return WOVEN.replace("[1, 0, 0]", f"[{float(np.cos(angle))!r}, {float(np.sin(angle))!r}, 0.0]")
 
 
 def write(folder: Path, lines: str, nx: int = 20, ny: int = 2, texture: str = "") -> str:
@@ -117,7 +117,7 @@ def test_pulled_strips_have_the_modulus_of_their_angle(tmp_path, degrees):
     """Free to contract and to shear: uniform stress, exact but for the second order in a strain of 1e-7."""
     angle = np.radians(degrees)
     exact = modulus(angle, YOUNG, WEFT, SHEAR, POISSON)
-    pull = 1e-7 * exact * THICKNESS * WIDTH
+    pull = float(1e-7 * exact * THICKNESS * WIDTH)
     ends = "[[loads.force]]\nselect = {{ box = [[{0}, -1, -1], [{1}, 1, 1]] }}\nvalue = [{2!r}, 0.0, 0.0]\n"
     holds = "[[fix]]\nselect = {{ box = [[{0}, -1, -1], [{1}, {2}, 1]] }}\naxes = '{3}'\n"
     scene = woven(angle).replace("young =", "model = 'membrane'\nyoung =", 1)
@@ -148,7 +148,7 @@ def deflection(folder: Path, degrees: float, nx: int, ny: int = 2) -> float:
     mean = POISSON * np.sqrt(WEFT / YOUNG)
     warp, weft, twist = STRIPS
     stiffness = modulus(angle, warp, weft, twist, mean * np.sqrt(warp / weft))
-    moment = 1e-3 * stiffness * WIDTH / LENGTH
+    moment = float(1e-3 * stiffness * WIDTH / LENGTH)
     scene = woven(angle)
     keys = f"bending_warp = {warp}\nbending_weft = {weft}\nbending_twist = {twist}\n"
     scene = scene.replace("density", keys + "density")
@@ -224,7 +224,7 @@ def test_coarser_levels_keep_the_warp(tmp_path):
 
 def test_texture_coordinates_give_the_warp(tmp_path):
     """The pattern lies turned by 30 degrees: v of the texture runs at 120 degrees to x."""
-    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    c, s = float(np.cos(np.pi / 6)), float(np.sin(np.pi / 6))
     texture = "vt {x!r} {y!r}"
     scene = write(tmp_path, WOVEN.replace("warp = [1, 0, 0]\n", ""), 4, 2, texture)
     text = (tmp_path / "mesh.obj").read_text().splitlines()

@@ -138,6 +138,8 @@ class Minimisation:
         try:
             tao.solve()
             path.reason = tao.getConvergedReason()
+        except PETSc.Error as error:  # newer petsc4py wraps what an evaluation raises
+            raise error.__cause__ or error from None
         finally:
             tao.destroy()  # calls back to what holds it
         self._count()

@@ -5,7 +5,7 @@ Such circles lead through C, where Python's garbage collection does not see them
 same order on all ranks.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -14,7 +14,8 @@ from petsc4py import PETSc
 
 Kept = TypeVar("Kept", bound=PETSc.Object)
 _runs: list[list[PETSc.Object]] = []  # of the runs that go, the innermost last
-_told: list[tuple[int, Sequence[int]]] = []  # their ranks, and the signals that they got
+_told: list[tuple[int, list[int]]] = []  # their ranks, and the signals that they got
+ANOTHER = 0  # as a signal: another rank got one
 
 
 def stop_if_told(comm: MPI.Comm) -> None:
@@ -24,6 +25,7 @@ def stop_if_told(comm: MPI.Comm) -> None:
         return
     ranks, signals = _told[-1]
     if comm.size == ranks and (comm.allreduce(len(signals)) if ranks > 1 else signals):
+        signals.append(ANOTHER)
         raise KeyboardInterrupt
 
 
@@ -35,10 +37,11 @@ def until_the_end(made: Kept) -> Kept:
 
 
 @contextmanager
-def run_of_its_own(ranks: int = 1, signals: Sequence[int] = ()) -> Iterator[None]:
-    """What is made within ends with it. signals: those that this one of its ranks gets. Collective."""
+def run_of_its_own(ranks: int = 1, signals: list[int] | None = None) -> Iterator[None]:
+    """What is made within ends with it. signals: those that this one of its ranks gets; one more where it ends by them,
+    on all ranks. Collective."""
     _runs.append([])
-    _told.append((ranks, signals))
+    _told.append((ranks, [] if signals is None else signals))
     try:
         yield
     finally:

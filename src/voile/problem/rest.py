@@ -16,6 +16,12 @@ STILL = 0.1  # weight of panels' mean square displacement over the size, beside 
 FABRIC = ("thickness", "young", "poisson")  # the kernels' order
 
 
+def _fill(z: PETSc.Vec, values: Reals) -> None:
+    """Writes rank 0's values, where all of z is. The others write their nothing: PETSc keeps norms of what was not
+    written to, and would wait for ranks that have them."""
+    z.array[:] = values.ravel()[: z.local_size]
+
+
 def field_vector(problem: Problem, field: Reals) -> PETSc.Vec:
     """A displacement field (local vertices, 3) on the unknowns: what held and sewn vertices do is left out."""
     vector = problem.create_vector()
@@ -226,8 +232,7 @@ class PanelRest:
 
     def take(self, z: PETSc.Vec, coordinates: Reals) -> None:
         """Makes z that of panels with coordinates (p, 2) m."""
-        if z.local_size:
-            z.array = (coordinates - self.base).ravel()
+        _fill(z, coordinates - self.base)
 
     def _everywhere(self, z: PETSc.Vec) -> Reals:
         found: Reals = self.problem.comm.bcast(z.array_r.copy()).reshape(self.base.shape)
@@ -306,8 +311,7 @@ class PanelRest:
         total = np.zeros_like(self.base)
         np.add.at(total, part.rest_vertex[part.rest_corners], slope)
         total = self.problem.comm.allreduce(total)
-        if self.problem.comm.rank == 0:
-            out.array[:] = total.ravel()
+        _fill(out, total)
         return out
 
     def idle(self) -> Flags:
