@@ -5,7 +5,7 @@ import numpy as np
 from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
-from voile.elastic.plate import Stiffness, bending_of, stretching_of
+from voile.elastic.plate import FlatMesh, Stiffness
 from voile.problem.follower import conservative
 from voile.problem.shell import Shell, seam_gaps
 from voile.scene import Scene
@@ -240,10 +240,8 @@ def _against_plate(shell: Shell) -> tuple[Stiffness, Stiffness] | None:
     names = {"model": model, **({"bending": bending} if bending else {})}
     names |= {"material": material} if material else {}
     fabric = {name: getattr(shell, name)[near] for name in ("thickness", "young", "poisson")}
-    bent, stretched = (
-        of(x[used], triangles.reshape(-1, 3), model=names, **fabric) for of in (bending_of, stretching_of)
-    )
-    return bent, stretched
+    mesh = FlatMesh(x[used], triangles.reshape(-1, 3), model=names, **fabric)
+    return mesh.bending(), mesh.stretching()
 
 
 def explain(scene: Scene, model: Model) -> str:

@@ -5,7 +5,7 @@ import pytest
 
 import voile
 from voile.cli import main
-from voile.elastic.plate import bending_of, stretching_of
+from voile.elastic.plate import FlatMesh
 from voile.validate.shells import mapped
 
 HINGES = ({"model": "discrete-shells"}, {"model": "koiter", "bending": "average"}, {"model": "projective"})
@@ -13,9 +13,9 @@ HINGES = ({"model": "discrete-shells"}, {"model": "koiter", "bending": "average"
 
 def bent(points, triangles, model, poisson=0.0):
     one = np.ones(len(triangles))
-    return bending_of(
+    return FlatMesh(
         points, triangles, thickness=1e-3 * one, young=1e6 * one, poisson=poisson * one, model=model
-    )
+    ).bending()
 
 
 def stiffness(points, triangles, model):
@@ -72,10 +72,10 @@ def test_stretching_is_that_of_sheets_that_are_pulled():
     u, v, triangles, _ = mapped(6, 6, "right")
     points, one = np.column_stack([u, v, 0.0 * u]), np.ones(len(triangles))
     for model, exact in (("koiter", True), ("discrete-shells", False)):
-        form = stretching_of(
+        form = FlatMesh(
             points, triangles, thickness=1e-3 * one, young=1e6 * one, poisson=0.0 * one, model={"model": model}
             | ({"bending": "tan", "material": "stvk"} if exact else {}),
-        )  # fmt: skip
+        ).stretching()  # fmt: skip
         pulled = {
             "shell": {"mesh": (points, triangles), "young": 1e6, "thickness": 1e-3, "density": 1.0}
             | {"poisson": 0.0, "model": model},

@@ -35,78 +35,63 @@ class Stiffness:
         return float(ratios[0]), float(ratios[-1])
 
 
-def bending_of(
-    points: Reals,
-    triangles: Ints,
-    *,
-    thickness: Reals,
-    young: Reals,
-    poisson: Reals,
-    model: Mapping[str, str],
-) -> Stiffness:
-    """How stiffly a flat mesh (n, 3), z = 0, bends; small deflections.
+class FlatMesh:
+    """A mesh (n, 3), z = 0, of triangles (m, 3) with thickness (m), young (Pa), poisson each; model: what `evaluate`
+    takes of it."""
 
-    The deflection is quadratic at the border and next to it; inside it is the one of least energy, as in equilibrium.
-    Per triangle thickness (m), young (Pa), poisson; model: what `evaluate` takes of it.
-    """
-    x, hessian = _flat(points, triangles, thickness, young, poisson, model)
-    upright = 3 * np.arange(len(x)) + 2
-    stiffness = triangle_areas(x, triangles) * (young * thickness**3 / (12.0 * (1.0 - poisson**2)))
-    deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
-    inside = _inside(triangles, len(x))
-    return Stiffness(_form(hessian[upright][:, upright], deflection, inside), _plate(stiffness, poisson, 2.0))
+    def __init__(
+        self,
+        points: Reals,
+        triangles: Ints,
+        *,
+        thickness: Reals,
+        young: Reals,
+        poisson: Reals,
+        model: Mapping[str, str],
+    ):
+        self.points, self.triangles = points - points.mean(axis=0), triangles
+        self.thickness, self.young, self.poisson = thickness, young, poisson
+        fabric = {"thickness": thickness, "young": young, "poisson": poisson}
+        x = self.points
+        found = evaluate(x, x, triangles, hessian=True, **fabric, **model)  # type: ignore[arg-type]  # text alone
+        self.hessian: Any = found.hessian
+        self.inside = _inside(triangles, len(points))
 
+    def bending(self) -> Stiffness:
+        """How stiffly it bends; small deflections.
 
-def stretching_of(
-    points: Reals,
-    triangles: Ints,
-    *,
-    thickness: Reals,
-    young: Reals,
-    poisson: Reals,
-    model: Mapping[str, str],
-) -> Stiffness:
-    """As `bending_of`, of strains xx, yy and the shear angle xy in the plane, beside plane stress."""
-    x, hessian = _flat(points, triangles, thickness, young, poisson, model)
-    level = np.flatnonzero(np.arange(3 * len(x)) % 3 < 2)
-    stiffness = triangle_areas(x, triangles) * (young * thickness / (1.0 - poisson**2))
-    moved = np.zeros((len(x), 2, 3))
-    moved[:, 0, 0], moved[:, 1, 1], moved[:, 0, 2] = x[:, 0], x[:, 1], x[:, 1]
-    inside = np.repeat(_inside(triangles, len(x)), 2)
-    return Stiffness(
-        _form(hessian[level][:, level], moved.reshape(-1, 3), inside), _plate(stiffness, poisson, 0.5)
-    )
+        The deflection is quadratic at the border and next to it; inside it is the one of least energy, as in
+        equilibrium."""
+        x, upright = self.points, 3 * np.arange(len(self.points)) + 2
+        deflection = np.column_stack([0.5 * x[:, 0] ** 2, 0.5 * x[:, 1] ** 2, x[:, 0] * x[:, 1]])
+        return Stiffness(
+            self._form(upright, deflection, self.inside), self._plate(self.thickness**3 / 12.0, 2.0)
+        )
 
+    def stretching(self) -> Stiffness:
+        """As `bending`, of strains xx, yy and the shear angle xy in the plane, beside plane stress."""
+        x = self.points
+        level = np.flatnonzero(np.arange(3 * len(x)) % 3 < 2)
+        moved = np.zeros((len(x), 2, 3))
+        moved[:, 0, 0], moved[:, 1, 1], moved[:, 0, 2] = x[:, 0], x[:, 1], x[:, 1]
+        form = self._form(level, moved.reshape(-1, 3), np.repeat(self.inside, 2))
+        return Stiffness(form, self._plate(self.thickness, 0.5))
 
-def _flat(
-    points: Reals,
-    triangles: Ints,
-    thickness: Reals,
-    young: Reals,
-    poisson: Reals,
-    model: Mapping[str, str],
-) -> tuple[Reals, Any]:
-    """Points (n, 3) about their mean, and the Hessian of their energy there."""
-    x = points - points.mean(axis=0)
-    fabric = {"thickness": thickness, "young": young, "poisson": poisson}
-    flat = evaluate(x, x, triangles, hessian=True, **fabric, **model)  # type: ignore[arg-type]  # text alone
-    assert flat.hessian is not None
-    return x, flat.hessian
+    def _form(self, unknowns: Ints, fields: Reals, inside: Flags) -> Reals:
+        """(3, 3) twice the energy of three fields (k, 3) of the unknowns (k,), which give way inside."""
+        hessian = self.hessian[unknowns][:, unknowns].tocsc()
+        if inside.any():
+            fields[inside] -= splu(hessian[inside][:, inside]).solve((hessian @ fields)[inside])
+        form: Reals = fields.T @ (hessian @ fields)
+        return form
 
-
-def _form(hessian: Any, fields: Reals, inside: Flags) -> Reals:
-    """(3, 3) twice the energy of three displacement fields (k, 3), which give way inside."""
-    hessian = hessian.tocsc()
-    if inside.any():
-        fields[inside] -= splu(hessian[inside][:, inside]).solve((hessian @ fields)[inside])
-    form: Reals = fields.T @ (hessian @ fields)
-    return form
-
-
-def _plate(stiffness: Reals, poisson: Reals, twist: float) -> Reals:
-    """The plate's form, of its triangles' stiffness; twist: its last entry over the stiffness less Poisson's share."""
-    whole, side = stiffness.sum(), stiffness @ poisson
-    return np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, twist * (whole - side)]])
+    def _plate(self, section: Reals, twist: float) -> Reals:
+        """The plate's form; section (m,): of the thickness; twist: its last entry over the stiffness less Poisson's
+        share."""
+        area = triangle_areas(self.points, self.triangles)
+        stiffness = area * (self.young * section / (1.0 - self.poisson**2))
+        whole, side = stiffness.sum(), stiffness @ self.poisson
+        return np.array([[whole, side, 0.0], [side, whole, 0.0], [0.0, 0.0, twist * (whole - side)]])
 
 
 def _inside(triangles: Ints, count: int) -> Flags:

@@ -176,10 +176,10 @@ def mirrored_rules(panels: Panels, rules: Rules, mirror: Ints) -> Rules:
     def images(name: str) -> list[str]:
         return [names[others[k]] for k, panel in enumerate(names) if is_called(panel, name)]
 
+    own = {rule.panel for rule in rules.panels}
     grains: list[PanelRule] = []
     for rule in rules.panels:
         grain = rule.grain if isinstance(rule.grain, str) else tuple((flip * rule.grain).tolist())
-        own = {r.panel for r in rules.panels}
         grains += [*(PanelRule(n, grain) for n in images(rule.panel) if n not in own), rule]
     seams: list[SeamRule] = []
     for wish in rules.seams:
