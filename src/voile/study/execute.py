@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from voile.study.plan import Plan, Run
 from voile.study.settings import overrides
 
 SHORT = 2.0  # s: runs under it are measured several times, as start-up and other programs weigh in
+WAKE = 0.1  # s: a signal that comes just before Python begins to wait is handled only when that wait ends
 STOPPED = "stopped by a signal"  # what `voile run` says then
 # What an MPI process tells its children: an mpirun started from one takes itself for a rank.
 MPI_PREFIXES = (
@@ -114,7 +115,13 @@ class Runs:
 
         pool = ThreadPoolExecutor(jobs)
         try:
-            return list(pool.map(one, self.plan.runs if runs is None else runs))
+            futures = [pool.submit(one, run) for run in (self.plan.runs if runs is None else runs)]
+            going = set(futures)
+            while going:
+                done, going = wait(going, WAKE, FIRST_EXCEPTION)
+                for each in done:
+                    each.result()
+            return [each.result() for each in futures]
         except BaseException:
             self.stop()
             raise
