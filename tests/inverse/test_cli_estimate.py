@@ -137,3 +137,10 @@ def test_what_the_data_cannot_determine_is_refused(hanging, rest, inverse, said)
     write(hanging, "scene.toml", "hangs.obj", rest=rest, more=f"[inverse]\n{inverse}\n")
     code, answer = run(hanging)
     assert code == 2 and said in answer and answer.count("voile:") == 1
+
+
+def test_an_estimate_ends_when_its_time_is_over(hanging):
+    write(hanging, "scene.toml", "hangs.obj", more='[inverse]\nestimate = ["young"]\n')
+    code, said = run(hanging, "--set", "inverse.max_seconds=1e-6")
+    assert code == 3 and "estimation: inverse.max_seconds ended it" in said and said.count("voile:") == 1
+    assert not json.loads((hanging / "out" / "summary.json").read_text())["converged"]

@@ -127,7 +127,7 @@ def test_a_search_whose_time_is_over_ends_with_the_last_stable_shape(monkeypatch
     """A clock that counts steps ends the way; the shape is in stable equilibrium under its part of the load."""
     shape = folded_skirt(24, 4, young=1e7)
     problem, steps = Problem(shape, MPI.COMM_SELF), []
-    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(steps)))
+    monkeypatch.setattr("voile.problem.lifetime.time", SimpleNamespace(perf_counter=lambda: len(steps)))
     options = InverseOptions(max_seconds=4.0)
     result = solve_inverse(problem, shape, [], 0.0, options, told=Told(nearest=steps.append))
     nearest, figures = result.nearest, inverse_report(result)["nearest"]
@@ -150,7 +150,7 @@ def test_time_that_ends_at_the_full_load_leaves_an_answer(monkeypatch):
     shape = folded_skirt(24, 4, young=1e7)
     problem, steps = Problem(shape, MPI.COMM_SELF), []
     over = SimpleNamespace(perf_counter=lambda: 2.0 * bool(steps and steps[-1].fraction == 1.0))
-    monkeypatch.setattr("voile.inverse.nearest.time", over)
+    monkeypatch.setattr("voile.problem.lifetime.time", over)
     options = InverseOptions(max_seconds=1.0)
     result = solve_inverse(problem, shape, [], 0.0, options, told=Told(nearest=steps.append))
     assert result.nearest is not None and result.nearest.timed_out and result.nearest.fraction == 1.0
@@ -161,7 +161,7 @@ def test_time_that_ends_at_the_full_load_leaves_an_answer(monkeypatch):
 def test_time_ends_the_adjoint_method_too(monkeypatch):
     shape = folded_skirt(24, 4, young=1e7)
     problem, steps = Problem(shape, MPI.COMM_SELF), []
-    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(steps)))
+    monkeypatch.setattr("voile.problem.lifetime.time", SimpleNamespace(perf_counter=lambda: len(steps)))
     options = InverseOptions(method="tao", max_seconds=2.0)
     result = solve_inverse(problem, shape, [], 0.0, options, told=Told(iteration=steps.append))
     assert result.adjoint is not None and len(result.adjoint.steps) == 2
@@ -173,7 +173,7 @@ def test_time_ends_the_direct_method_too(monkeypatch):
     shape = folded_skirt(24, 4, young=1e7)
     problem, seen = Problem(shape, MPI.COMM_SELF), []
     problem.monitor = lambda *iteration: seen.append(iteration)
-    monkeypatch.setattr("voile.inverse.nearest.time", SimpleNamespace(perf_counter=lambda: len(seen)))
+    monkeypatch.setattr("voile.problem.lifetime.time", SimpleNamespace(perf_counter=lambda: len(seen)))
     result = solve_inverse(problem, shape, [], 0.0, InverseOptions(max_seconds=22.0))
     assert result.direct.fraction == 0.25 and not result.converged  # it would reach 0.3535
     assert result.adjoint is None and result.nearest.fraction == 0.25

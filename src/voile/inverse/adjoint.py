@@ -15,12 +15,14 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from petsc4py import PETSc
 
+from voile.errors import NotConverged
 from voile.inverse.journal import Journal, Keep, columns, heard, said
 from voile.inverse.kept import vector
 from voile.inverse.objective import Design, Objective, nearness
 from voile.inverse.reduced import Iterate, Reduced
 from voile.inverse.target import Target
-from voile.inverse.verify import Simulation, simulate
+from voile.inverse.verify import TIMED_OUT, Simulation, simulate
+from voile.problem.lifetime import TimeIsOver, until
 from voile.problem.rest import PanelRest
 from voile.solver.path import Arrays
 from voile.solver.stepping.restart import packed_history
@@ -75,19 +77,18 @@ def minimise(
     design: Design | None = None,
     objectives: Sequence[Objective] | None = None,
     journal: Journal | None = None,
-    over: Callable[[], bool] = lambda: False,
 ) -> AdjointPath:
     """The rest shape that minimises the sum of the objectives, from `start` on: design variables, by default rest
     displacements with director angles; by default that whose simulation is nearest to the target, `regularisation` the
-    weight of its change. Ends when it settles, after so many iterations of TAO, or before the next one where time is
-    `over`. journal: of the search."""
+    weight of its change. Ends when it settles, after so many iterations of TAO, or when the target's clock is over.
+    journal: of the search. Raises NotConverged where the first simulation has no end."""
 
     def work(kept: Arrays, keep: Keep) -> Arrays:
         terms = objectives or nearness(target, design or target.rest, start, regularisation)
         search = Minimisation(target, start, design or target.rest, terms, accuracy, on_step)
         if kept:
             search.go_on(kept)
-        path = search.run(iterations, keep, over)
+        path = search.run(iterations, keep)
         return _packed(target, path) | {"rest": path.rest.array_r.copy()}
 
     found = (journal or Journal()).call(work)
@@ -127,19 +128,27 @@ class Minimisation:
         self.objective.go_on(path.trail, kept)
         self.before, self.solves = path.steps[-1].iteration, (path.forward_solves, path.adjoint_solves)
 
-    def run(self, iterations: int, keep: Keep, over: Callable[[], bool]) -> AdjointPath:
-        """Until it settles, after so many iterations in all, or where time is `over`; keep: what an interrupted search
-        goes on from."""
+    def run(self, iterations: int, keep: Keep) -> AdjointPath:
+        """Until it settles, after so many iterations in all, or when the target's clock is over; keep: what an
+        interrupted search goes on from."""
         path = self.path
         tao = _optimiser(self.objective, self.z, self.radius, self.metric)
         tao.setMaximumIterations(max(iterations - self.before, 0))
         tao.setMonitor(lambda tao: self._note(tao, keep))
-        tao.setConvergenceTest(lambda tao: _settled(tao, path, self.first, self.before, over))
+        tao.setConvergenceTest(
+            lambda tao: _settled(tao, path, self.first, self.before, self.target.clock.over)
+        )
         try:
-            tao.solve()
+            with until(self.target.clock):
+                tao.solve()
             path.reason = tao.getConvergedReason()
         except PETSc.Error as error:  # newer petsc4py wraps what an evaluation raises
             raise error.__cause__ or error from None
+        except TimeIsOver:
+            if not self.objective.trail:
+                raise NotConverged(f"adjoint method: {TIMED_OUT} that it starts from") from None
+            path.reason = TIME
+            self.target.problem.reset_origin(self.target.problem.create_vector())
         finally:
             tao.destroy()  # calls back to what holds it
         self._count()
@@ -224,19 +233,22 @@ def keep_what_is_reached(
     path: AdjointPath,
     accuracy: float,
     panels: PanelRest | None = None,
-    over: Callable[[], bool] = lambda: False,
-) -> Simulation:
+) -> Simulation | None:
     """Leaves in the path the last iterate in whose equilibrium a simulation from the target ends, no farther off than
     the first, or of the first and the last few the one that ends nearest: the search's short simulations may end
-    elsewhere than statics do, and what it minimises is no largest displacement. Where time is
-    `over`, the first that ends stable will do. That simulation."""
+    elsewhere than statics do, and what it minimises is no largest displacement. When
+    the target's clock is over, the first that ends stable will do. That simulation, None where time ended all."""
     runs: list[tuple[Iterate, Simulation]] = []
     for iterate in reversed(_kept(path)):
         rest = iterate.rest if panels else _surface(target, iterate)
         run = simulate(target, rest, accuracy, panels=panels, eigenvalue=True)
-        runs.append((iterate, run))
-        if run.stable and (over() or run.sag <= min(NEAR * iterate.sag, path.trail[0].sag)):
+        if run.timed_out:
             break
+        runs.append((iterate, run))
+        if run.stable and (target.clock.over() or run.sag <= min(NEAR * iterate.sag, path.trail[0].sag)):
+            break
+    if not runs:
+        return None
     kept, run = min(runs, key=lambda pair: (not pair[1].stable, pair[1].sag))
     path.trail = path.trail[: path.trail.index(kept) + 1]
     path.rest, path.state = kept.rest if panels else _surface(target, kept), kept.state

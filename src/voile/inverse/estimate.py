@@ -70,6 +70,9 @@ class Estimation:
         self.observations, self.names, self.accuracy = observations, names, accuracy
         self.unknown = unknown
         self.rest: Reals | None = None
+        self.history: list[
+            tuple[float, dict[str, float]]
+        ] = []  # misfit (m) and values of the iterations so far
         starts = [[o.value(name) for name in names] for o in observations]
         self.start = np.log(np.array(starts[0]))
         self.count = sum(o.count for o in observations)
@@ -77,7 +80,7 @@ class Estimation:
 
     def solve(self, on_step: Progress | None = None) -> Estimate:
         """The estimate. Raises NotConverged where it does not settle, InputError where the data cannot determine it."""
-        p, history = self.start.copy(), []
+        p, history = self.start.copy(), self.history
         states = self._simulate(p)
         for _ in range(DOUBLINGS if "friction" in self.names else 0):
             if states is None:  # it may slide for want of friction
@@ -105,7 +108,7 @@ class Estimation:
                 )
             p, states = moved or (p, states)
             if done:
-                return self._estimate(p, states, history)
+                return self._estimate(p, states)
         raise NotConverged(f"estimation: {MOST} iterations did not settle")
 
     def _values(self, p: Reals) -> dict[str, float]:
@@ -217,9 +220,7 @@ class Estimation:
                 "them enters; estimate one and give the others, or observe under other loads (inverse.also)"
             )
 
-    def _estimate(
-        self, p: Reals, states: list[PETSc.Vec], history: list[tuple[float, dict[str, float]]]
-    ) -> Estimate:
+    def _estimate(self, p: Reals, states: list[PETSc.Vec]) -> Estimate:
         gram, _ = self._normal_equations(p, states)
         variance = self._misfit(states) / max(self.count - len(p), 1)
         deviation = np.sqrt(variance * np.diag(np.linalg.inv(gram))) * np.exp(p)
@@ -231,6 +232,6 @@ class Estimation:
             misfit=float(np.sqrt(self._misfit(states) / self.count)),
             states=again,
             rest=self.rest,
-            iterations=history,
+            iterations=self.history,
             forward_solves=sum(o.simulations for o in self.observations),
         )

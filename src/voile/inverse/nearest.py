@@ -15,7 +15,6 @@ each other, which the slopes of the eigenvalues do not tell. A trust region boun
 """
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -33,7 +32,6 @@ from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.spectral import Model, barrier
 from voile.inverse.target import CLEARANCE, Target
 from voile.inverse.verify import sag
-from voile.problem.problem import Problem
 from voile.solver.path import Arrays
 
 MARGIN, LEAST_MARGIN = 8.0, 1.0  # over g/L, of the way, and where it is given up
@@ -58,20 +56,6 @@ TRIED = 10  # of the latter, after which it is seen whether they will do
 PRECISE = 1e-5  # residual over the loads' norm, on the way
 
 
-class Clock:
-    """Wall time that a search may take (s; 0: no limit), the same on all ranks. ended: whether it was found over."""
-
-    def __init__(self, problem: Problem, seconds: float):
-        self.problem, self.end = problem, time.perf_counter() + (seconds or math.inf)
-        self.ended = False
-
-    def over(self) -> bool:
-        """Whether the time is over on any rank. Collective."""
-        if self.end < math.inf and not self.ended:
-            self.ended = not self.problem.everywhere(time.perf_counter() < self.end)
-        return self.ended
-
-
 Progress = Callable[[NearestStep], None]
 Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
 
@@ -79,8 +63,8 @@ Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its
 class Nearest:
     """Path of nearest stable shapes of a target on which the direct method has stopped."""
 
-    def __init__(self, direct: Direct, clock: Clock, on_step: Progress | None, journal: Journal):
-        self.target, self.problem, self.clock = direct.target, direct.problem, clock
+    def __init__(self, direct: Direct, on_step: Progress | None, journal: Journal):
+        self.target, self.problem, self.clock = direct.target, direct.problem, direct.target.clock
         self.journal = journal
         self.on_step, self.steps, self.budget = on_step, list[NearestStep](), STEPS
         target = self.target
@@ -347,18 +331,17 @@ def approach(
     margin: float,
     stays: Stays,
     on_step: Progress | None = None,
-    clock: Clock | None = None,
     journal: Journal | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
-    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. clock: of
-    the search, which ends with the last stable shape when it is over. None where the full load is not reached before
+    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. When the
+    target's clock is over it ends with the last stable shape. None where the full load is not reached before
     that, or nothing is free to move."""
-    clock, stable = clock or Clock(target.problem, 0.0), list[tuple[Nearest, Checkpoint]]()
+    clock, stable = target.clock, list[tuple[Nearest, Checkpoint]]()
     turned_back = path.critical is None  # far from a loss of stability: less margin first
     for first in (LEAST_MARGIN, MARGIN) if turned_back and not margin else (margin or MARGIN,):
-        search = Nearest(Direct(target, PRECISE), clock, on_step, journal or Journal())
+        search = Nearest(Direct(target, PRECISE), on_step, journal or Journal())
         if not search.neighbours.moves.movable:  # all of it touches
             return None
         point, reached = search.reach(path, first * search.neighbours.slow)

@@ -14,7 +14,7 @@ from voile.inverse.bounds import area_range
 from voile.inverse.direct import DirectPath
 from voile.inverse.nearest_path import NearestPath
 from voile.inverse.target import Target
-from voile.inverse.verify import Simulation
+from voile.inverse.verify import TIMED_OUT, Simulation
 from voile.inverse.verify import sag as distance
 from voile.problem.rest import PanelRest
 
@@ -30,9 +30,9 @@ class InverseResult:
     residual (N): of the balance at the target; nearest, adjoint: where the target itself is not stable, the search for
     the nearest stable answer; eigenvalue: smallest omega^2 (1/s^2), at the target or at that answer, with its `mode`,
     nan where none is found; simulation and disturbed: statics from the target and from beside it, `held` from the
-    nearest answer under the full load, `closed` from the target without the gaps that the others keep, where these
-    matter, all to `tolerance` of the loads' norm; spread: sizes between the ends of the
-    first two; seconds: of the search (`inverse`) and of certificate and simulations (`proof`).
+    nearest answer under the full load, `closed` as a scene of statics, where that may end elsewhere, all to `tolerance`
+    of the loads' norm; hovers: the first three keep gaps that matter; spread: sizes between the ends of the first two;
+    seconds: of the search (`inverse`) and of certificate and simulations (`proof`).
     """
 
     target: Target
@@ -50,6 +50,7 @@ class InverseResult:
     nearest: NearestPath | None = None
     held: Simulation | None = None
     closed: Simulation | None = None
+    hovers: bool = False
     guess: Reals | None = None
     tolerance: float = 0.0
     spread: float = field(init=False)
@@ -76,6 +77,12 @@ class InverseResult:
         return found and self.stable and self.simulation.stable and not fails
 
     @property
+    def timed_out(self) -> bool:
+        """Whether time ended any of the proof's simulations."""
+        runs = self.simulation, self.disturbed, self.held, self.closed
+        return any(run is not None and run.timed_out for run in runs)
+
+    @property
     def _far(self) -> bool:
         return (self.nearest or self.simulation).sag > FAR
 
@@ -91,19 +98,31 @@ class InverseResult:
 
     @property
     def reason(self) -> str:
-        far = f"; it ends {self.simulation.sag:.2g} sizes from the target" if self._far else ""
-        settled, beside = self.simulation.path.converged, self.disturbed.path.converged
-        settles = "; the simulation from beside it did not settle" if settled and not beside else ""
-        if self.spread > SPREAD:
-            settles = f"; the simulation from beside it ends elsewhere, {self.disturbed.sag:.2g} sizes from the target"
-        if self.closed and not self.closed.stable:
-            settles += "; a scene of statics, which closes gaps, finds no stable equilibrium"
-        elif self.closed and self.closed.sag > self.simulation.sag + SPREAD:
-            settles += (
-                f"; a scene of statics closes gaps and ends {self.closed.sag:.2g} sizes from the target"
-            )
-        said, bounds = self._finding() + far + settles + self._ended(), self.target.bounds
+        said, end, bounds = self._finding(), _end(self.simulation), self.target.bounds
+        if self._far and end not in said:
+            said += f"; it ends {end}"
+        said += self._beside() + self._as_scene() + self._ended()
         return said if self.exact or bounds.last in said else said + bounds.told()
+
+    def _beside(self) -> str:
+        """Where the simulation from beside the target ends, if that is elsewhere."""
+        if self.spread > SPREAD:
+            return f"; the simulation from beside it ends elsewhere, {_end(self.disturbed)}"
+        if self.disturbed.path.converged or not self.simulation.path.converged:
+            return ""
+        without = f"; {TIMED_OUT} from beside it", "; the simulation from beside it did not settle"
+        return without[not self.disturbed.timed_out]
+
+    def _as_scene(self) -> str:
+        """Where a scene of statics ends, if that is farther off."""
+        scene, closes = self.closed, " closes gaps and" * self.hovers
+        if scene is None or (scene.stable and scene.sag <= self.simulation.sag + SPREAD):
+            return ""
+        if scene.timed_out:
+            return f"; {TIMED_OUT} as a scene of statics"
+        levels = any("nested" in method for method in scene.path.methods)
+        what = "a scene of statics" + " by coarser levels (statics.nested)" * levels + closes
+        return f"; {what} " + (f"ends {_end(scene)}" if scene.stable else "finds no stable equilibrium")
 
     def _ended(self) -> str:
         """That time ended the search, and how far the load got."""
@@ -116,13 +135,15 @@ class InverseResult:
     def _finding(self) -> str:
         if not self.simulation.path.converged:
             without = "" if self.direct.converged else f"{self.direct.reason}; {self._kept()}; simulated, "
-            return without + self.simulation.path.reason
-        leaves = "" if self._stays() else "; a simulation from the target leaves it"
+            why = f"{TIMED_OUT} from the target" if self.simulation.timed_out else self.simulation.path.reason
+            return without + why
+        leaves = "" if self.stays else "; a simulation from the target leaves it"
         if self.panels or self.trade:
             what = "flat panels" if self.panels else "developable rest shape"
             kind = "a stable" if self.stable else "an unstable"
-            where = f"{self.simulation.sag:.2g} sizes from the target{leaves}"
+            where = f"{_end(self.simulation)}{leaves}"
             return f"{what} with {kind} equilibrium {where}{self._more()}"
+        leaves += f" and ends {_end(self.simulation)}" if leaves else ""
         if self.direct.converged:
             unstable = f"the target is unstable: {self._unstable()}"
             return "target in stable equilibrium" if self.stable else unstable
@@ -133,6 +154,8 @@ class InverseResult:
             if not self.nearest.fraction:
                 found = "the search has not left the target without load, which is its own rest shape there"
             where = "; a simulation from it leaves it" if self._drifts else leaves
+            if self.held and self.held.timed_out:
+                where = f"; {TIMED_OUT} from it"
             return f"{found}{where}; exactly, {self.direct.reason}"
         if self.adjoint is None:
             return f"{self.direct.reason}; {self._kept()}"
@@ -154,7 +177,8 @@ class InverseResult:
             "; the search ended where further steps win little" if reason == REASON.CONVERGED_STEPTOL else ""
         )
 
-    def _stays(self) -> bool:
+    @property
+    def stays(self) -> bool:
         """Whether a simulation from the target ends in the answer that a search found beside it."""
         sag = self.nearest.sag if self.nearest else self.adjoint.trail[-1].sag if self.adjoint else np.inf
         return self.simulation.sag <= NEAR * sag
@@ -163,6 +187,11 @@ class InverseResult:
         if math.isnan(self.eigenvalue):
             return "its smallest eigenvalue is not found"
         return f"smallest eigenvalue {self.eigenvalue:.3g} 1/s^2"
+
+
+def _end(run: Simulation) -> str:
+    """Where a simulation ends."""
+    return f"{run.sag:.2g} sizes from the target"
 
 
 def inverse_report(result: InverseResult) -> dict[str, Any]:
@@ -179,6 +208,7 @@ def inverse_report(result: InverseResult) -> dict[str, Any]:
         "sag": result.simulation.settled_sag,
         "sag_disturbed": result.disturbed.settled_sag,
         "sag_closed": (result.closed or result.simulation).settled_sag,
+        "proof_timed_out": result.timed_out,
         "disturbance": result.disturbed.disturbance,
         "stable": result.stable,
         "smallest_eigenvalue": None if math.isnan(result.eigenvalue) else result.eigenvalue,
@@ -209,6 +239,7 @@ def _nearest(result: InverseResult) -> dict[str, Any] | None:
         "margin": nearest.margin,
         "steps": len(nearest.steps),
         "moved": held.sag if held else None,
+        "reached": result.simulation.stable and result.stays,
         "load_fraction": nearest.fraction,
         "timed_out": nearest.timed_out,
     }

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from petsc4py import PETSc
@@ -18,17 +18,18 @@ from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
 from voile.inverse.flatten import FlatPanels
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_direct, unpacked_direct
-from voile.inverse.nearest import Clock, approach
 from voile.inverse.nearest import Progress as NearestProgress
+from voile.inverse.nearest import approach
 from voile.inverse.nearest_path import NearestPath
 from voile.inverse.objective import Design
 from voile.inverse.result import InverseResult
 from voile.inverse.target import HOLDS, Target
-from voile.inverse.verify import Proofs, Simulation, settles_within, simulate
+from voile.inverse.verify import Proofs, Simulation, as_scene, settles_within, simulate
+from voile.problem.lifetime import Clock
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.problem.shell import Shell
-from voile.solver.path import Arrays
+from voile.solver.path import Arrays, StaticsOptions
 
 Progress = Callable[[DirectStep], None]
 Proof = tuple[Simulation, Simulation, Simulation | None, float, PETSc.Vec]
@@ -43,8 +44,8 @@ class InverseOptions:
     "direct", or "adjoint" to go on where the target itself is not stable: to the nearest stable shape with `margin`
     (smallest eigenvalue over g/L; 0: the least at which simulations from the target end), or, where there is no way to
     it and with "tao", by TAO with the weight `regularisation` of the rest shape's change, for `iterations` at most;
-    developable: the rest shape has no angle defect inside; max_seconds: of the search, but for the proof of its answer;
-    0: no limit."""
+    developable: the rest shape has no angle defect inside; max_seconds: of the search, and again of the proof of its
+    answer; 0: no limit; statics: of the scene that a user makes of the answer."""
 
     friction: bool = True
     contact_tolerance: float = 1e-3
@@ -55,6 +56,7 @@ class InverseOptions:
     iterations: int = 20
     developable: bool = False
     max_seconds: float = 0.0
+    statics: StaticsOptions = field(default_factory=lambda: StaticsOptions(nested=True))
 
 
 @dataclass(frozen=True)
@@ -111,14 +113,18 @@ def solve_inverse(
         target.release()
     searched = time.perf_counter()
     told.found(z)
-    proving = time.perf_counter()
+    proving = search.start_clock()
     tolerance = _resolved(target, path, options.tolerance) if found is path else options.tolerance
     simulation, disturbed, held, eigenvalue, mode = search.proof(z, path, nearest, adjoint, tolerance)
-    closed = simulate(target, z, tolerance, closes=True) if target.hovering() else None
+    closed, hovers = None, target.hovering()
+    if hovers or adjoint or (nearest and nearest.fraction == 1.0):  # else it finds the target, too
+        closed = as_scene(
+            target, z, replace(options.statics, tolerance=max(options.statics.tolerance, tolerance))
+        )
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     return InverseResult(
         target, z, path, adjoint, path.residual, eigenvalue, mode, simulation, disturbed, seconds, trade=trade,
-        nearest=nearest, held=held, closed=closed, guess=away, tolerance=tolerance,
+        nearest=nearest, held=held, closed=closed, hovers=hovers, guess=away, tolerance=tolerance,
     )  # fmt: skip
 
 
@@ -128,14 +134,19 @@ class Search:
     def __init__(self, target: Target, options: InverseOptions, told: Told, journal: Journal):
         self.target, self.options, self.told, self.journal = target, options, told, journal
         self.proofs = Proofs(target, options.tolerance)
-        self.clock = Clock(target.problem, options.max_seconds)
+        self.start_clock()
+
+    def start_clock(self) -> float:
+        """Search and proof each have their time (inverse.max_seconds); the present one."""
+        self.target.clock = Clock(self.target.problem.comm, self.options.max_seconds)
+        return time.perf_counter()
 
     def direct(self, guess: PETSc.Vec | None = None) -> DirectPath:
         """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method
         may alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is
         taken. Raises NotConverged where round-off hides the loads."""
         target, paths = self.target, dict[float, DirectPath]()
-        solver = Direct(target, over=self.clock.over)
+        solver = Direct(target, over=self.target.clock.over)
         holds = HOLDS if target.contacts else HOLDS[:1]
         for smallest in (COARSE, SMALLEST):
             for hold in holds:
@@ -159,9 +170,9 @@ class Search:
                     )
 
                 path = paths[hold] = unpacked_direct(target.problem, self.journal.call(work))
-                if path.converged or path.critical is not None or self.clock.over():
+                if path.converged or path.critical is not None or self.target.clock.over():
                     break
-            if path.converged or self.clock.over():
+            if path.converged or self.target.clock.over():
                 break
         best = max(paths, key=lambda hold: paths[hold].fraction)
         path, target.penalty = paths[best], best * target.membrane
@@ -182,14 +193,11 @@ class Search:
         self.told.found(path.rest)  # the search that follows may be long
         if options.method != "adjoint":
             return None
-        found = approach(
-            target, path, options.margin, self._stays, self.told.nearest, self.clock, self.journal
-        )
+        found = approach(target, path, options.margin, self._stays, self.told.nearest, self.journal)
         if not found:
             return None
         target.hold(found.rest)
-        run = self.proofs(found.rest)
-        nearer = self.clock.over() or _nearer(target, found, run, options.tolerance)
+        nearer = target.clock.over() or _nearer(target, found, self.proofs(found.rest), options.tolerance)
         return found if nearer else None
 
     def _stays(self, rest: PETSc.Vec, sag: float) -> bool:
@@ -199,7 +207,7 @@ class Search:
 
     def adjoint(self, path: DirectPath) -> AdjointPath | None:
         """The simulation nearest to the target where the direct method has no stable shape."""
-        if path.converged or self.options.method == "direct" or self.clock.over():
+        if path.converged or self.options.method == "direct" or self.target.clock.over():
             return None
         self.target.load(1.0)
         try:
@@ -208,7 +216,7 @@ class Search:
             path.reason += f"; {reason}"
             return None
         self.target.release()
-        keep_what_is_reached(self.target, found, self.options.tolerance, over=self.clock.over)
+        keep_what_is_reached(self.target, found, self.options.tolerance)
         self.target.rest.set(found.rest)
         return found
 
@@ -238,7 +246,6 @@ class Search:
             told.iteration,
             design,
             journal=self.journal,
-            over=self.clock.over,
         )
 
     def home(self, nearest: NearestPath | None, adjoint: AdjointPath | None) -> DirectPath | None:
@@ -246,7 +253,9 @@ class Search:
         beside = nearest or adjoint
         if beside is None or (nearest and nearest.fraction != 1.0):
             return None
-        return Direct(self.target, over=self.clock.over).home(beside.state, beside.rest, self.told.step)
+        return Direct(self.target, over=self.target.clock.over).home(
+            beside.state, beside.rest, self.told.step
+        )
 
     def developable(
         self, shell: Shell | None, exempt: Ints | None, z: PETSc.Vec
@@ -262,7 +271,7 @@ class Search:
         design.set(adjoint.rest)
         found, trade = design.projected.copy(), []
         found.array[design.idle()] = adjoint.state.array_r[design.idle()]
-        for share in TRADE[-1:] if self.clock.over() else TRADE:
+        for share in TRADE[-1:] if self.target.clock.over() else TRADE:
             between = z.copy()
             between.axpby(share, 1.0 - share, found)
             reached = simulate(target, between, self.options.tolerance).settled_sag
@@ -279,13 +288,14 @@ class Search:
         tolerance: float,
     ) -> Proof:
         """Simulations of the rest shape z from the target, from beside it, and where it is that of a nearest stable
-        shape from there; the smallest eigenvalue (1/s^2) of the answer and its mode."""
+        shape from there; the smallest eigenvalue (1/s^2) of the answer and its mode. What says most comes first, for
+        time may end the others."""
         target = self.target
         if nearest:
-            simulation, disturbed = self.proofs(z), self.proofs(z, True)
-            whole = nearest.fraction == 1.0  # else it is no answer, and has nothing to prove
+            simulation, whole = self.proofs(z), nearest.fraction == 1.0
+            # else it is no answer, and has nothing to prove
             held = simulate(target, z, tolerance, start=nearest.state) if whole else None
-            return simulation, disturbed, held, nearest.eigenvalue, nearest.mode
+            return simulation, self.proofs(z, True), held, nearest.eigenvalue, nearest.mode
         reached = adjoint.reached if adjoint else None
         simulation = reached or simulate(target, z, tolerance, eigenvalue=adjoint is not None)
         disturbed = simulate(target, z, tolerance, disturbed=True)
@@ -341,16 +351,16 @@ def solve_panels(
     told.found(panels.base)  # the search may be long, or find nothing
     adjoint = search.minimise(panels.create(), panels)
     target.release()
-    simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels, search.clock.over)
+    simulation = keep_what_is_reached(target, adjoint, options.tolerance, panels)
     z = adjoint.rest
     for change in (even, ease):
         if change:
             panels.take(z, change(panels.coordinates(z)))
-    if even or ease:
-        simulation = simulate(target, z, options.tolerance, panels=panels)
     searched = time.perf_counter()
     told.found(panels.coordinates(z))
-    proving = time.perf_counter()
+    proving = search.start_clock()
+    if even or ease or simulation is None:
+        simulation = simulate(target, z, options.tolerance, panels=panels, eigenvalue=True)
     disturbed = simulate(target, z, options.tolerance, panels=panels, disturbed=True)
     seconds = {"inverse": searched - began, "proof": time.perf_counter() - proving}
     still = problem.create_vector()

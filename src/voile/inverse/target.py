@@ -18,6 +18,8 @@ from voile.inverse.bounds import Bounds
 from voile.inverse.contact_pairs import ContactPairs, clearances, find_contact_pairs
 from voile.inverse.reactions import Balance, Cones, least_friction
 from voile.problem.contact import cone_fields, contact_of, with_obstacles
+from voile.problem.lifetime import Clock
+from voile.problem.partition import gathered
 from voile.problem.problem import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
@@ -55,6 +57,7 @@ class Target:
         or through each other, NotConverged where no reactions can hold the target."""
         self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
         self.layers, self.bounds = layers, Bounds()
+        self.clock = Clock(problem.comm, 0.0)  # of what is under way: the search, then its proof
         self.rest = RestShape(problem)
         self.tangent = problem.create_matrix()
         comm = problem.comm
@@ -346,9 +349,15 @@ class Target:
         near = bool((np.abs(self.gaps()[bears]) <= HOVERS * self.problem.size()).all())
         return not self.problem.everywhere(near)
 
-    def as_statics(self) -> Problem:
-        """The problem under the full load as a scene of statics has it, which closes gaps."""
-        return with_obstacles(self.problem.at(1.0), self.obstacles, self.offset, self.layers)
+    def as_statics(self, z: PETSc.Vec) -> Problem:
+        """The problem as a scene of statics has it, with the rest displacements z: without reactions, so gaps close."""
+        rest = gathered(self.problem, self.x + self.problem.motion(z))
+        shell = self.problem.shell
+        if shell is not None and rest is not None:
+            shell = replace(shell, rest_points=rest)
+        problem = Problem(shell, self.problem.comm)
+        problem.monitor = self.problem.monitor
+        return with_obstacles(problem, self.obstacles, self.offset, self.layers)
 
     def obstructed(self) -> Problem:
         """The problem under the full load with obstacles and layers in the way, for a simulation: active contacts at

@@ -1,5 +1,6 @@
 """Does the rest shape hold the target? The direct simulation from the target, and from a disturbed start."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -9,6 +10,7 @@ from petsc4py import PETSc
 
 from voile.arrays import Reals, triangle_areas
 from voile.inverse.target import Target
+from voile.problem.lifetime import TimeIsOver, until
 from voile.problem.problem import Problem
 from voile.problem.rest import PanelRest
 from voile.solver.path import Path, StaticsOptions
@@ -21,17 +23,20 @@ ASTRAY = (
     4.0  # limits, beyond which no descent comes back: an overshoot against stretching is 4^(1/3) of the way
 )
 GENTLE = 0.01  # of its distance along the cloth from layers that touch, likewise: strain
+TIMED_OUT = "inverse.max_seconds ended the simulation"
 
 
 @dataclass
 class Simulation:
     """A simulation with the rest shape found. sag: largest displacement from the target, or from where it was told to
-    start, over the target's size; problem: what it was of; disturbance (m): largest of its start."""
+    start, over the target's size; problem: what it was of; disturbance (m): largest of its start; timed_out: time ended
+    it, where it began."""
 
     path: Path
     sag: float
     problem: Problem
     disturbance: float = 0.0
+    timed_out: bool = False
 
     @property
     def settled_sag(self) -> float | None:
@@ -40,11 +45,11 @@ class Simulation:
 
     @property
     def eigenvalue(self) -> float:
-        """Smallest omega^2 (1/s^2) where it was asked for, else a number of the same sign."""
+        """Smallest omega^2 (1/s^2) where it was asked for, else a number of the same sign; nan where time ended it."""
         value = self.path.smallest_eigenvalue
         if value is not None:
             return value
-        return 1.0 if self.stable else -1.0
+        return math.nan if self.timed_out else 1.0 if self.stable else -1.0
 
     @property
     def stable(self) -> bool:
@@ -58,17 +63,16 @@ def simulate(
     *,
     panels: PanelRest | None = None,
     disturbed: bool = False,
-    closes: bool = False,
     eigenvalue: bool = False,
     start: PETSc.Vec | None = None,
     watch: Callable[[PETSc.Vec], None] | None = None,
 ) -> Simulation:
     """Statics under the full load with rest shape z (rest displacements and director angles, or what `panels` take),
     starting at the target, disturbed a thickness off it away from contacts, or at the unknowns `start`. tolerance:
-    residual over the loads' norm; closes: gaps in the target, as a scene of statics does, instead of keeping them;
-    watch: told of the iterates of descents, to which a simulation that is watched keeps from the start."""
+    residual over the loads' norm; watch: told of the iterates of descents, to which a simulation that is watched keeps
+    from the start. It ends where it began when the target's clock is over."""
     (panels or target.rest).set(z)
-    problem = target.as_statics() if closes else target.obstructed()
+    problem = target.obstructed()
     first = start.copy() if start else problem.create_vector() if panels else target.rest.state(z)
     beside = _disturbance(target) if disturbed else problem.create_vector()
     first.axpy(1.0, beside)
@@ -76,10 +80,33 @@ def simulate(
     options = StaticsOptions(
         load_steps=1, tolerance=tolerance, eigenvalue=eigenvalue, first=first_method, watch=watch
     )
-    path = solve_statics(problem, options, start=first)
-    problem.reset_origin(path.state)
     farthest = beside.norm(PETSc.NormType.INFINITY)
-    return Simulation(path, sag(target, path.state, start), problem, farthest)
+    path, over = _solved(target, problem, options, first)
+    return Simulation(path, sag(target, path.state, start), problem, farthest, over)
+
+
+def as_scene(target: Target, z: PETSc.Vec, options: StaticsOptions) -> Simulation:
+    """As `simulate`, of the scene of statics that a user makes of the files, with its options: from the target on, with
+    nothing known of contacts, whose gaps close, and by coarser levels of the mesh, which may lead to other folds."""
+    problem = target.as_statics(z)
+    path, over = _solved(target, problem, options)
+    return Simulation(path, sag(target, path.state), problem, timed_out=over)
+
+
+def _solved(
+    target: Target, problem: Problem, options: StaticsOptions, start: PETSc.Vec | None = None
+) -> tuple[Path, bool]:
+    """The path of statics, or where it began and True if the target's clock was over before its end. Displacements then
+    count from the start shape."""
+    path, origin = None, problem.create_vector()
+    try:
+        with until(target.clock):
+            path = solve_statics(problem, options, start=start)
+        return path, False
+    except TimeIsOver:
+        return Path(start.copy() if start else problem.create_vector(), reason=TIMED_OUT), True
+    finally:
+        problem.reset_origin(path.state if path else origin)
 
 
 class Astray(Exception):
@@ -115,7 +142,7 @@ class Proofs:
         if runs is None:
             runs = dict[bool, Simulation]()
             self.runs.append((z.copy(), runs))
-        if disturbed not in runs:
+        if disturbed not in runs or runs[disturbed].timed_out:
             runs[disturbed] = simulate(self.target, z, self.tolerance, disturbed=disturbed)
         return runs[disturbed]
 

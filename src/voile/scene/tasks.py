@@ -200,7 +200,8 @@ class Inverse:
     )
     max_seconds: float = key(
         Number("s", least=0),
-        "wall time after which the search ends with the best shape so far, which is then proved; 0: no limit",
+        "wall time after which the search ends with the best shape so far; its proof ends after as long again; 0: no "
+        "limit",
         default=0.0,
     )
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from voile.arrays import Reals
-from voile.errors import InputError, on_root
+from voile.errors import InputError, NotConverged, on_root
 from voile.inverse.estimate import Estimate, Estimation
 from voile.inverse.observation import Observation, UnknownRest
 from voile.mesh import METRES, read_rest, write_obj
+from voile.problem.lifetime import Clock, TimeIsOver, until
 from voile.problem.shell import Shell
 from voile.scene import Scene, read_scene, unsupported
 from voile.solver.path import Path as LoadPath
@@ -38,9 +39,14 @@ def estimate(job: Run) -> str:
         sewn, observation = _observation(other, job)
         observations.append(observation)
         shell = shell or sewn
-    result = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown).solve(
-        job.progress.estimate
-    )
+    search = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown)
+    try:
+        with until(Clock(comm, scene.inverse.max_seconds)):
+            result = search.solve(job.progress.estimate)
+    except TimeIsOver:
+        last = search.history[-1][1] if search.history else {}
+        at = " at " * bool(last) + ", ".join(f"{name} = {value:.6g}" for name, value in last.items())
+        raise NotConverged(f"estimation: inverse.max_seconds ended it{at}") from None
     problem = (unknown.observation if unknown else observations[0]).problem
     state = problem.create_vector() if unknown else result.states[0]
     if shell is not None and result.rest is not None:

@@ -12,6 +12,7 @@ from voile.tasks.estimate import estimate
 from voile.tasks.patterns import check_wishes
 from voile.tasks.rest import find_panels, find_surface, write_result
 from voile.tasks.run import Run
+from voile.tasks.statics import options_of
 
 LOOSE = 1e-3  # sizes: a sag of panels that their seams may be to blame for
 # Strain of a rest shape laid flat that a user should know of: a collar of 2e-5 cut so hangs 8e-5 sizes off, a bent
@@ -37,6 +38,7 @@ def run(job: Run) -> str:
         spec.iterations,
         developable=spec.developable == "constraint",
         max_seconds=spec.max_seconds,
+        statics=options_of(job.scene),
     )
     start = time.perf_counter()
     find = find_panels if spec.developable == "panels" else find_surface
@@ -77,7 +79,12 @@ def _note(job: Run, result: InverseResult, report: dict[str, Any]) -> None:
             f"inverse.tolerance: double precision holds the balance at the target to {result.residual:.1e} N, "
             f"{result.tolerance:.1e} of the loads; simulations are asked for no more"
         )
-    if result.closed:
+    if result.nearest and result.held and result.held.stable and not result.stays:
+        job.tell(
+            f"the shape found is {result.nearest.sag:.2g} sizes from the target, but cloth let go in the target ends "
+            f"{result.simulation.sag:.2g} sizes from it: it must be put into that shape, step 0.5 of the result"
+        )
+    if result.hovers:
         sunk, hover = report["reactions"]["gaps"]
         job.note(
             f"what bears in the target lies {sunk:.2g} to {hover:.2g} m off what it touches: simulations here keep the "
