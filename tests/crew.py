@@ -73,9 +73,10 @@ def serve(folder: Path) -> None:
         for line in asked:
             kind, *words = json.loads(line)
             done = getattr(command_line, kind)(*words)
-            codes = world.gather(done.returncode)
-            if codes is not None:
-                print(json.dumps([max(codes), done.stdout, done.stderr]), file=answer, flush=True)
+            ends = world.gather((done.returncode, done.stderr))
+            if ends is not None:
+                codes, said = zip(*ends, strict=True)
+                print(json.dumps([max(codes), done.stdout, "".join(said)]), file=answer, flush=True)
 
 
 if __name__ == "__main__":

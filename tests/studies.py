@@ -5,8 +5,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from command_line import voile
 from mesh_helpers import generator
-from test_cli import program
 
 from voile.mesh import write_obj
 
@@ -56,7 +56,7 @@ def place(folder: Path) -> Callable[[str], Path]:
 
 
 def done(path, out, *options):
-    run = program("study", path, "-o", out, *options)
+    run = voile("study", path, "-o", out, *options)
     assert run.returncode == 0, run.stderr
     return json.loads((out / "study.json").read_text())
 

@@ -143,7 +143,7 @@ def test_a_rest_shape_of_other_triangles(scene, tmp_path):
 
 
 def test_scene_files_and_overrides(scene, tmp_path):
-    refused(program("run", tmp_path / "none.toml"), "none.toml: no such file")
+    refused(voile("run", tmp_path / "none.toml"), "none.toml: no such file")
     path = scene()
     refused(voile("explain", path, "--set", "shell.young=-1"), "--set shell.young=-1: shell.young: -1")
     assert "discrete-shells" in voile("explain", path, "--set", "shell.model=discrete-shells").stdout
@@ -327,7 +327,7 @@ def test_explain_says_what_is_modelled(scene, tmp_path):
 
 
 def test_schema_is_json():
-    done = program("schema")
+    done = voile("schema")
     assert done.returncode == 0 and json.loads(done.stdout)["properties"]["shell"]["required"]
 
 
@@ -336,19 +336,19 @@ def test_schema_is_json():
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("change", ["young = -1", 'young = 1e5\nrest = "none.obj"'])
-def test_bad_input_on_two_ranks_is_said_once(change, scene, tmp_path, mpirun):
+def test_bad_input_on_two_ranks_is_said_once(change, scene, tmp_path, crews):
     path = scene(SCENE.replace("young = 1e5", change))
-    done = mpirun(2, [*VOILE, "run", str(path), "-o", str(tmp_path / "out")], 60)
+    done = crews(2).run("voile", ["run", path, "-o", tmp_path / "out"], 60)
     assert done.returncode == 2
     assert done.stderr.count("voile: ") == 1 and "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.mpi
-def test_other_failures_on_two_ranks(scene, tmp_path, mpirun):
-    """The output folder is a file (found after the scene was read); no convergence."""
+def test_other_failures_on_two_ranks(scene, tmp_path, mpirun, crews):
+    """The output folder is a file (found after the scene was read); no convergence, which mpirun hands on."""
     (tmp_path / "file").write_text("mine")
-    done = mpirun(2, [*VOILE, "run", str(scene()), "-o", str(tmp_path / "file")], 60)
+    done = crews(2).run("voile", ["run", scene(), "-o", tmp_path / "file"], 60)
     assert done.returncode == 2 and done.stderr.count("voile: ") == 1
     command = [*VOILE, "run", str(scene(FEW)), "-o", str(tmp_path / "out"), "--", "-snes_max_it", "1"]
     done = mpirun(2, command, 60)

@@ -147,7 +147,8 @@ def test_a_link_in_place_of_the_record(voile, tmp_path):
 DYNAMICS = '[scene]\ntask = "dynamics"\n[dynamics]\nduration = 1e3\ntime_step = 0.01\n'
 
 
-@pytest.mark.parametrize("room", [400_000, 600_000])  # 260,000 are the file's first tables
+# 260,000 are the file's first tables
+@pytest.mark.parametrize("room", [400_000, pytest.param(600_000, marks=pytest.mark.slow)])
 def test_a_full_disk_ends_a_run_with_a_message(voile, room):
     """The steps so far are readable, and the summary says why."""
     (voile.folder.parent / "long.toml").write_text(DYNAMICS + SCENE)
@@ -238,7 +239,7 @@ def test_a_folder_that_is_gone_is_told(voile):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_signal_to_one_rank_ends_all_of_them(voile, mpirun, number):
     scene = voile.folder.parent / "long.toml"
     scene.write_text(DYNAMICS + SCENE)

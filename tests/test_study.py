@@ -4,7 +4,6 @@ import pytest
 from command_line import refused, voile
 from mesh_helpers import generator
 from studies import HEAD, POINT, THREE, TIP, done, place, table
-from test_cli import program
 
 from voile.mesh import write_obj
 
@@ -99,7 +98,7 @@ set = {{ obstacle = [{{ shape = "sphere", center = [0.5, 0.05, 0.0], radius = 0.
 def test_all_runs_fail(study, tmp_path):
     case = 'name = "stuck"\nset = { "statics.max_steps" = 1, "statics.load_steps" = 4 }\n'
     spec = f'{HEAD}measure = "tip"\nreference = 1.0\n[[case]]\n{case}{POINT}'
-    run = program("study", study(spec), "-o", tmp_path / "out")
+    run = voile("study", study(spec), "-o", tmp_path / "out")
     assert run.returncode == 3 and "load factor 0.25" in run.stdout
 
 
@@ -225,7 +224,7 @@ def test_forces_of_supports_are_measures(study, tmp_path):
 
 def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):
     path = study(HEAD + 'measure = "smallest_eigenvalue"\nreference = 1.0\n[vary]\nrefine = [0]\n')
-    run = program("study", path, "-o", tmp_path / "out")
+    run = voile("study", path, "-o", tmp_path / "out")
     assert run.returncode == 2 and "no run has smallest_eigenvalue; allowed: " in run.stderr.splitlines()[-1]
     assert "energy.bending" in run.stderr
 

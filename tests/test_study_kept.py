@@ -9,8 +9,9 @@ import subprocess
 import time
 
 import pytest
+from command_line import voile
 from studies import SCENE, THREE, done, place, table, write_strip
-from test_cli import VOILE, program
+from test_cli import VOILE
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def finished(tmp_path_factory):
 
 def test_two_studies_find_the_same(study, tmp_path):
     """With the second of the finest run between them, whoever else is at work."""
-    path = study(THREE.replace("1, 2]", "4]").replace("repeats = 1", 'repeats = 3\nclock = "cpu"'))
+    path = study(THREE.replace("1, 2]", "4]").replace("repeats = 1", 'repeats = 2\nclock = "cpu"'))
     one, other = (done(path, tmp_path / name) for name in ("one", "other"))
     assert table(tmp_path / "one", timeless=True) == table(tmp_path / "other", timeless=True)
     assert [r["run"] for r in one["pareto"]] == [r["run"] for r in other["pareto"]]
@@ -45,13 +46,13 @@ def test_a_killed_study_goes_on_to_the_same_table(study, finished, tmp_path):
         time.sleep(0.3)  # within the second run
         os.kill(going.pid, signal.SIGKILL)
     assert going.returncode == -signal.SIGKILL
-    again = program("study", path, "-o", tmp_path / "killed")
+    again = voile("study", path, "-o", tmp_path / "killed")
     assert again.returncode == 0, again.stderr
     assert again.stderr.splitlines()[0].endswith(", known")
     assert table(tmp_path / "killed", timeless=True) == table(finished, timeless=True)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_stopped_study_leaves_no_half_run(number, study, tmp_path):
     path = study(THREE.replace("2]", "5]"))
     with subprocess.Popen(
@@ -83,14 +84,14 @@ def test_a_run_by_itself_that_is_stopped_takes_its_program_along(study, tmp_path
 
 def test_runs_by_themselves_are_collected_later(study, tmp_path):
     path = study(THREE)
-    listed = program("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
+    listed = voile("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
     assert len(listed) == 3 and listed[1].endswith("--run 2")
     subprocess.run(
         f"{listed[1]} & {listed[1]} & wait", shell=True, check=True, capture_output=True, timeout=60
     )
-    left = program("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
+    left = voile("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
     assert left == [listed[0], listed[2]]
-    again = program("study", path, "-o", tmp_path / "out")
+    again = voile("study", path, "-o", tmp_path / "out")
     assert again.returncode == 0
     assert [line.endswith("known") for line in again.stderr.splitlines()] == [False, True, False]
 
@@ -102,7 +103,7 @@ def test_what_decides_a_result_decides_what_runs_again(study, finished, tmp_path
     def again():
         return [
             line.endswith("known")
-            for line in program("study", path, "-o", tmp_path / "out").stderr.splitlines()
+            for line in voile("study", path, "-o", tmp_path / "out").stderr.splitlines()
         ]
 
     (tmp_path / "scene.toml").write_text("# a remark\n" + SCENE)
@@ -116,7 +117,7 @@ def test_what_decides_a_result_decides_what_runs_again(study, finished, tmp_path
 def test_a_new_measure_needs_no_new_run(study, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "out")
     study(THREE.replace('"tip"\nreference', '"max_displacement"\nreference'))
-    run = program("study", tmp_path / "study.toml", "-o", tmp_path / "out")
+    run = voile("study", tmp_path / "study.toml", "-o", tmp_path / "out")
     assert run.returncode == 0 and all(line.endswith("known") for line in run.stderr.splitlines())
     assert 0.6 < float(table(tmp_path / "out")[0]["max_displacement"]) < 0.9
 
@@ -124,6 +125,6 @@ def test_a_new_measure_needs_no_new_run(study, finished, tmp_path):
 def test_a_run_that_takes_too_long_is_ended(study, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "out")  # what is known needs no second that others may take
     text = THREE.replace("repeats", "max_seconds = 1.0\nrepeats").replace("2]", "7]")
-    run = program("study", study(text), "-o", tmp_path / "out")
+    run = voile("study", study(text), "-o", tmp_path / "out")
     assert run.returncode == 0
     assert table(tmp_path / "out")[2]["status"] == "too long"

@@ -32,7 +32,9 @@ def solved(tmp_path_factory):
 
 
 # With the factorisations of a descent to the end on the other side of the box or the drum: 666 and 641.
-@pytest.mark.parametrize("seed, most, energy", [(58, 450, -0.0437), (43, 350, -0.0042)])
+@pytest.mark.parametrize(
+    "seed, most, energy", [pytest.param(58, 450, -0.0437, marks=pytest.mark.slow), (43, 350, -0.0042)]
+)
 def test_a_descent_past_an_obstacle_is_given_up_at_once(seed, most, energy, solved):
     path, problem = solved(seed)
     assert path.converged and path.stable and path.steps[-1].method == "pseudo-transient"
@@ -51,8 +53,10 @@ def test_a_sheet_held_at_a_corner_slides_off_a_ball_and_hangs(solved):
     assert first.contact["max_penetration"] < 1e-10
 
 
+@pytest.mark.slow
 def test_a_spin_about_a_corner_is_followed_once(solved):
-    """A neutral end of steps that do not lead through the drum is not made again: 3491 factorisations before."""
+    """A neutral end of steps that do not lead through the drum is not made again: 3491 factorisations before. How many
+    hangs on round-off: with PETSc 3.26 it is 3111."""
     path, _ = solved(59)
     assert path.converged and path.stable
     assert path.counts.factorisations < 2600 and len(path.steps) == 10

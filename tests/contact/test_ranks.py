@@ -37,7 +37,7 @@ SLOW = pytest.mark.slow
 )
 def test_a_symmetric_sheet_falls_into_the_same_folds(tmp_path, run_on, rank_counts, body, more):
     """The same shape to 1e-8 m and the same forces to 1e-6 of them all on 1, 2 and 4 ranks."""
-    cells = 12 if len(rank_counts) > 2 or body != "sphere" else 8
+    cells = 12 if len(rank_counts) > 2 or body != "sphere" else 6
     points, triangles = plate(0.5, 0.5, 0.5 / cells)
     write_obj(tmp_path / "sheet.obj", points - [0.25, 0.25, 0.0], triangles)
     scene = tmp_path / "scene.toml"

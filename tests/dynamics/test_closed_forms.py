@@ -19,7 +19,7 @@ from voile.solver.stepping.time_path import Stepper, start_path
 G = 9.81
 
 
-@pytest.mark.parametrize("apart", [1.0, 0.5, 0.2])
+@pytest.mark.parametrize("apart", [*(pytest.param(a, marks=pytest.mark.slow) for a in (1.0, 0.5)), 0.2])
 def test_layers_that_start_too_near_slide_as_friction_says(apart):
     """A sheet on a held one slows down by mu g and stops, at the distance (thicknesses) at which it starts, over all
     triangles that it comes to."""

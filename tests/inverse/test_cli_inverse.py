@@ -295,7 +295,7 @@ def test_panels_whose_seams_bend_hang_nearer_to_the_target(tmp_path, run_on):
         np.testing.assert_allclose(result.points(-1), draped, atol=1e-10)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGINT])
 def test_a_run_that_is_told_to_end_keeps_what_it_has(tmp_path, number):
     hanging_cone(tmp_path, young=3e6, inverse='developable = "panels"\niterations = 500')
     running = subprocess.Popen(

@@ -24,9 +24,9 @@ OFFSET = 0.5e-3
 HOVER = 0.2e-3  # of a captured layer over the one below
 
 
-def two_tubes():
-    """A tube that hangs on a rod, and another over it; its vertices are marked."""
-    points, triangles = tube()
+def two_tubes(up: int = 8):
+    """A tube that hangs on a rod, and another over it; its vertices are marked. up: cells along the rod."""
+    points, triangles = tube(up=up)
     radius = np.hypot(points[:, 0], points[:, 1])[:, None]
     outer = points * np.column_stack(
         [1.0 + (2.0 * OFFSET + HOVER) / radius] * 2 + [np.full(len(points), 0.8)]
@@ -58,10 +58,10 @@ def test_cloth_held_by_cloth():
     assert step["friction_error"] < 1e-8 and step["slip"] == 0 and step["self_contacts"] > 10
 
 
-def on_incline(slope: float):
-    """A patch on a sheet on an incline, and the incline, on which the sheet cannot slip."""
-    points, triangles = grid(6, 6, 0.3, 0.3)
-    patch, corners = grid(4, 4, 0.17, 0.17)
+def on_incline(slope: float, cells=(6, 4)):
+    """A patch on a sheet (cells a side) on an incline, and the incline, on which the sheet cannot slip."""
+    points, triangles = grid(cells[0], cells[0], 0.3, 0.3)
+    patch, corners = grid(cells[1], cells[1], 0.17, 0.17)
     patch += [0.06, 0.07, 2.0 * OFFSET]
     turn = np.array([[np.cos(slope), 0, -np.sin(slope)], [0, 1, 0], [np.sin(slope), 0, np.cos(slope)]])
     both = (np.concatenate([points, patch]) + np.array([0, 0, OFFSET])) @ turn.T
@@ -72,7 +72,7 @@ def on_incline(slope: float):
 
 def test_the_least_friction_between_layers_is_the_slope():
     slope = np.radians(20.0)
-    shape, incline = on_incline(slope)
+    shape, incline = on_incline(slope, (3, 2))
     with pytest.raises(NotConverged, match=r"hold the target on incline .*, itself \(friction 0.3\)") as told:
         solve(shape, [replace(incline, friction=0.3)], 0.3)
     least = float(str(told.value).split("would do is ")[1].split(",")[0])
@@ -141,7 +141,7 @@ def layered_scene(folder, points, triangles, inverse=""):
 
 
 def test_ranks_agree_on_layers(tmp_path, run_on):
-    layered_scene(tmp_path, *two_tubes()[:2])
+    layered_scene(tmp_path, *two_tubes(3)[:2])
     found = []
     for ranks in (1, 2):
         out = tmp_path / f"out{ranks}"

@@ -30,7 +30,16 @@ def solved(shared, folder, young, thickness):
     return code, said, json.loads((folder / "out" / "summary.json").read_text())
 
 
-@pytest.mark.parametrize(("young", "thickness"), [(1e8, 1e-3), (1e7, 1e-3), (1e6, 3e-3), (4e6, 1e-3)])
+@pytest.mark.parametrize(
+    ("young", "thickness"),
+    [
+        *(
+            pytest.param(young, h, marks=pytest.mark.slow)
+            for young, h in ((1e8, 1e-3), (1e7, 1e-3), (1e6, 3e-3))
+        ),
+        (4e6, 1e-3),
+    ],
+)
 def test_stiff_fabrics_hold_the_skirt_exactly(shared, tmp_path, young, thickness):
     code, said, summary = solved(shared, tmp_path, young, thickness)
     assert code == 0, said

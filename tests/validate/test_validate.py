@@ -20,13 +20,18 @@ def run(bench):
 """
 # Whose quick form takes more than two CPU seconds on a quiet machine: they run with the slow tests.
 LONG = {
+    "airbag",
     "bend-twist",
     "bouncing-bar",
     "cantilever",
     "cusick-drape",
     "friction-pad",
     "lateral-buckling",
+    "lifted-strip",
+    "macneal-harder",
     "mylar-balloon",
+    "pinched-semicylinder",
+    "plates",
     "restitution",
     "rotating-sphere",
     "slit-annulus",

@@ -52,7 +52,7 @@ class Curve:
     ("thickness", "load", "displacement", "finest"),
     [
         (12.7, 2226.3, 11.293, 24),
-        (6.35, 585.9, 12.892, 28),
+        pytest.param(6.35, 585.9, 12.892, 28, marks=pytest.mark.slow),
     ],  # Sze, Liu & Lo 2004, at their first limit points
 )
 def test_hinged_roof(thickness, load, displacement, finest):
@@ -124,7 +124,7 @@ def test_dome_under_pressure():
 @pytest.mark.parametrize(
     ("lam", "poisson", "kind", "published", "bound", "sizes"),
     [
-        (4.0, 0.3, "limit point", 0.563, 5e-3, (0.14, 0.08)),
+        pytest.param(4.0, 0.3, "limit point", 0.563, 5e-3, (0.14, 0.08), marks=pytest.mark.slow),
         (6.0, 1.0 / 3.0, "bifurcation", 0.775, 0.015, (0.1, 0.06)),
     ],
 )

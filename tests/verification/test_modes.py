@@ -121,7 +121,9 @@ def test_contacts_hold_what_sticks_and_let_slide_what_slips(friction, held):
 # ---- buckling ----
 
 
-@pytest.mark.parametrize(("length", "cells"), [(1.0, 52), (1.5, 40), (2.0, 40)])
+@pytest.mark.parametrize(
+    ("length", "cells"), [(1.0, 52), pytest.param(1.5, 40, marks=pytest.mark.slow), (2.0, 40)]
+)
 def test_pushed_plate(length, cells):
     ratio = np.array([i / length + length / i for i in (1, 2, 3)])
     reference = np.pi**2 * vibrating.BENDING * np.sort(ratio**2)[:2]
