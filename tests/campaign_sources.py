@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # A program that keeps what it goes on from after every step, not every half second.
 OFTEN = (
     "import sys; from voile.results.restart import Restarts; Restarts.PAUSE = Restarts.SHARE = 0.0; "
-    "from voile.cli import main; sys.exit(main(sys.argv[1:]))"
+    "from voile.cli import main; sys.exit(main())"
 )
 STRIP = "\n".join(
     [f"v {0.04 * i} {0.05 * j} 0" for i in range(6) for j in range(2)]

@@ -7,11 +7,14 @@ import shutil
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import pytest
 from command_line import voile
 from studies import SCENE, THREE, done, place, table, write_strip
 from test_cli import VOILE
+
+from voile.study.plan import read_plan
 
 
 @pytest.fixture
@@ -80,6 +83,40 @@ def test_a_run_by_itself_that_is_stopped_takes_its_program_along(study, tmp_path
     (lock,) = runs.glob("*.lock")
     with open(lock) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # which the program would hold
+
+
+def test_a_study_that_waits_for_another_s_run_is_stopped_at_once(study, tmp_path):
+    path = study(THREE)
+    (tmp_path / "out" / "runs").mkdir(parents=True)
+    runs = read_plan(path).runs
+    lock = tmp_path / "out" / "runs" / f"{runs[0].folder}.lock"
+    with (
+        open(lock, "w") as held,
+        subprocess.Popen(
+            [*VOILE, "study", path, "-o", tmp_path / "out"], stderr=subprocess.PIPE, text=True
+        ) as going,
+    ):
+        fcntl.flock(held, fcntl.LOCK_EX)
+        while lock not in [file.resolve() for file in Path(f"/proc/{going.pid}/fd").iterdir()]:
+            time.sleep(0.05)
+        time.sleep(0.3)
+        going.send_signal(signal.SIGTERM)
+        going.send_signal(signal.SIGINT)
+        told = going.communicate(timeout=20)[1]
+    assert going.returncode == 3 and told.endswith("out, the same command goes on\n"), told
+
+
+def test_a_study_that_nohup_starts_outlives_its_terminal(study, tmp_path):
+    with subprocess.Popen(
+        ["nohup", *VOILE, "study", study(THREE), "-o", tmp_path / "out"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as going:
+        assert going.stderr is not None and going.stderr.readline().startswith("refine=0: ")
+        going.send_signal(signal.SIGHUP)
+        told = going.stderr.read()
+    assert going.returncode == 0, told
 
 
 def test_runs_by_themselves_are_collected_later(study, tmp_path):

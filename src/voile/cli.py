@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 from typing import Any
@@ -10,6 +11,7 @@ from voile.blas import check_memory
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged, printable
 from voile.launch import launched, without_launcher
+from voile.signals import process
 
 INTERRUPTED = 130  # as shells say it of Ctrl-C
 # modules that a plain install lacks -> the extra of pyproject.toml that brings them
@@ -29,6 +31,7 @@ def main(argv: list[str] | None = None) -> int:
     keep, 1 anything else."""
     without_launcher()
     _open_streams()
+    process.ends = argv is None
     argv, debug = list(sys.argv[1:] if argv is None else argv), False
     split = argv.index("--") if "--" in argv else len(argv)
     try:
@@ -44,6 +47,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"voile: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
+        if process.ends:  # a second one would cut short what the first began
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         return _ended("stopped by a signal", INTERRUPTED)
     except MemoryError:
         return _ended("not enough memory for this; allowed: a smaller mesh, or more memory (ulimit -v)", 1)

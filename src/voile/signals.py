@@ -4,6 +4,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 
 # What a user, a terminal that closes and a batch system's limits send. SIGUSR1 and SIGUSR2 mpirun hands on to its ranks
@@ -11,21 +12,40 @@ from types import FrameType
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGHUP, signal.SIGXCPU)
 
 
+@dataclass
+class Process:
+    """ends: it does after the command that runs, as it does not where a program or a test calls one."""
+
+    ends: bool = False
+
+
+process = Process()
+
+
 @contextmanager
 def stoppable(together: bool = False) -> Iterator[list[int]]:
     """Signals end what runs within by KeyboardInterrupt, and are noted in the list that is given. together: noted only,
     as ranks must end at the same place (voile.problem.lifetime.stop_if_told). There also a run of one rank ends whose
-    signal came while Python freed something, which swallows what is raised."""
+    signal came while Python freed something, which swallows what is raised.
+
+    Once one has come, others end nothing: neither what the first lets be written nor, where `process` says so, what is
+    left of the process. A second Ctrl-C is common, and service managers send two signals at once."""
     told: list[int] = []
+    raised = False
 
     def stop(number: int, _frame: FrameType | None) -> None:
+        nonlocal raised
         told.append(number)
-        if not together:
+        if not (together or raised):
+            raised = True
             raise KeyboardInterrupt
 
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        nonlocal raised
         if what.exc_type is not KeyboardInterrupt:
             sys.__unraisablehook__(what)
+        else:
+            raised = False
 
     hook, sys.unraisablehook = sys.unraisablehook, swallowed
     before = {number: signal.signal(number, stop) for number in ENDING if not _outlived(number)}
@@ -34,7 +54,7 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
     finally:
         sys.unraisablehook = hook
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if told and process.ends else handler)
 
 
 def _outlived(number: int) -> bool:

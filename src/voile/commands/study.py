@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from voile.errors import InputError
 from voile.launch import started
-from voile.signals import ENDING
+from voile.signals import stoppable
 
 if TYPE_CHECKING:
     from voile.study.execute import Record, Runs
@@ -50,16 +49,11 @@ def run(args: argparse.Namespace) -> int:
     if args.list_runs:
         _list(args, runs)
         return 0
-    for number in ENDING:
-        signal.signal(number, _interrupt)
-    try:
-        return _all(args, runs) if args.run is None else _one(args, runs)
-    except KeyboardInterrupt:
-        raise runs.stopped() from None
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
+    with stoppable():
+        try:
+            return _all(args, runs) if args.run is None else _one(args, runs)
+        except KeyboardInterrupt:
+            raise runs.stopped() from None
 
 
 def _list(args: argparse.Namespace, runs: Runs) -> None:

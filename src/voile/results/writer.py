@@ -173,13 +173,19 @@ class ResultWriter:
 
     def close(self) -> None:
         """Close the file, cut to the steps it holds. Collective; a second call does nothing."""
-        if self.steps and self._stepped and self._capacity != self.steps:
-            self._rebuild(self.steps)
-        self._close_file()
+        try:
+            there = self.steps and self._opened == self.path  # a signal may come before the first step is
+            if there and self._stepped and self._capacity != self.steps:
+                self._rebuild(self.steps)
+        finally:
+            self._close_file()
 
     def _close_file(self) -> None:
+        """Closes it; what a signal left of a new one goes."""
         if self._file is not None:
             self._file.close()
+        if self.comm.rank == 0:
+            self._part.unlink(missing_ok=True)
         self._file, self._stepped = None, {}
 
     def _open(self, stepped: dict[str, _Stepped], single: Mapping[str, tuple[Any, Field]]) -> None:

@@ -25,7 +25,9 @@ from voile.study.plan import Plan, Run
 from voile.study.settings import overrides
 
 SHORT = 2.0  # s: runs under it are measured several times, as start-up and other programs weigh in
-WAKE = 0.1  # s: a signal that comes just before Python begins to wait is handled only when that wait ends
+# s between looks at what is waited for: a signal that comes just before Python begins to wait is handled only when that
+# wait ends, and nothing wakes who waits for another process's lock.
+WAKE = 0.1
 STOPPED = "stopped by a signal"  # what `voile run` says then
 # What an MPI process tells its children: an mpirun started from one takes itself for a rank.
 MPI_PREFIXES = (
@@ -223,8 +225,19 @@ class Runs:
     def _lock(self, run: Run) -> Iterator[int]:
         """Only one process at a time runs a run; the system ends a lock with those who hold it."""
         with lockable(self.out / "runs" / f"{run.folder}.lock") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            while not _locked(file.fileno()):
+                if self.stopping.wait(WAKE):
+                    raise self.stopped()
             yield file.fileno()
+
+
+def _locked(file: int) -> bool:
+    """Whether a lock is ours now."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def command(plan: Plan, run: Run, folder: Path) -> list[str]:

@@ -1,0 +1,58 @@
+"""Several signals at once: a second Ctrl-C, a service manager's SIGTERM and SIGHUP."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+from test_folder import voile  # noqa: F401, a fixture
+
+from voile.results import ResultWriter, read_result
+from voile.signals import stoppable
+
+IMPATIENT = """
+import atexit, signal, sys
+atexit.register(signal.raise_signal, signal.SIGHUP)  # while the process ends
+from voile.results import ResultWriter
+import voile.tasks.run as runs
+write_step, write_summary = ResultWriter.write_step, runs.write_summary
+def stepped(self, *values, **more):
+    write_step(self, *values, **more)
+    signal.raise_signal(signal.SIGINT)
+def told(*values):
+    signal.raise_signal(signal.SIGTERM)  # while the summary is written
+    write_summary(*values)
+    signal.raise_signal(signal.SIGHUP)
+ResultWriter.write_step, runs.write_summary = stepped, told
+from voile.cli import main
+sys.exit(main())
+"""
+
+
+def test_signals_after_the_first_cut_nothing_short(voile):  # noqa: F811
+    scene = voile.folder.parent / "one.toml"
+    command = [sys.executable, "-c", IMPATIENT, "run", scene, "-o", voile.folder]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.count("\n") == 1 and "stopped by a signal; what was computed is kept" in done.stderr
+    assert json.loads((voile.folder / "summary.json").read_text())["reason"] == "stopped by a signal"
+    assert read_result(voile.folder).n_steps == 1
+
+
+@pytest.mark.parametrize("where", ["_publish", "_rebuild"])
+def test_a_signal_while_a_result_is_made_leaves_no_part_of_it(voile, monkeypatch, where):  # noqa: F811
+    def told(self, *words):
+        self._create(self._part, 1, {})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ResultWriter, where, told)
+    assert voile("one")[0] == 3
+    assert not list(voile.folder.glob(".*.part"))
+
+
+def test_programs_that_call_the_command_line_have_their_signals_again():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), stoppable() as told:
+        signal.raise_signal(signal.SIGTERM)
+    assert told == [signal.SIGTERM] and signal.getsignal(signal.SIGTERM) is before
