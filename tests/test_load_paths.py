@@ -4,10 +4,15 @@ import re
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
+import voile
 from voile.cli import main
 from voile.mesh import build_topology, read_mesh, shares
 from voile.post.quantities import quantity
+from voile.problem.problem import Problem
+from voile.problem.rest import field_vector
+from voile.problem.shell import Shell
 from voile.results import read_result, read_summary
 
 LENGTH, WIDTH, YOUNG, THICKNESS = 0.4, 0.1, 1e8, 1e-3
@@ -198,3 +203,57 @@ def test_a_run_that_tests_no_stability_says_so(tmp_path, capsys):
     said = "whether the end state is stable was not tested (statics.stability = false)"
     assert f"note: {said}" in capsys.readouterr().out
     assert read_summary(out / "summary.json")["notes"][-1] == said
+
+
+def cloth(cells: int, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square in z = 0, its points and triangles."""
+    x, y = np.meshgrid(*[np.linspace(0.0, length, cells + 1)] * 2, indexing="ij")
+    k = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = k[:-1, :-1].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel(), k[:-1, 1:].ravel()
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()]), triangles
+
+
+def gathered(points: np.ndarray, triangles: np.ndarray, near: list[int], far: list[int]) -> dict:
+    """Cloth that a band gathers at its free end, under pressure up to there, which has no potential."""
+    return {
+        "shell": {"mesh": (points, triangles), "young": 2e6, "thickness": 1e-3, "density": 300.0},
+        "loads": {"gravity": [0.0, 0.0, -9.81], "pressure": 3.0},
+        "fix": [{"select": {"nodes": near}, "clamp": True}],
+        "band": [{"select": {"nodes": far}, "stiffness": 50.0, "rest": 0.8}],
+    }
+
+
+def test_what_acts_from_the_start_comes_to_rest_before_loads_without_a_potential():
+    points, triangles = cloth(6, 0.5)
+    near, far = (np.flatnonzero(points[:, 0] == x).tolist() for x in (0.0, 0.5))
+    result = voile.run(voile.load(gathered(points, triangles, near, far)))
+    assert result.summary["stable"]
+    rim = result.positions[far]
+    assert np.linalg.norm(np.diff(rim, axis=0), axis=1).sum() < 0.5 * 0.95
+
+
+def test_the_energy_of_pressure_that_changes_within_free_cloth_does_not_depend_on_numbers():
+    points, triangles = cloth(5, 0.4)
+    x, y = points[:, 0], points[:, 1]
+    bent = points + 0.03 * np.column_stack([np.sin(9 * y), np.cos(7 * x), np.sin(8 * x + 5 * y)])
+    random, found = np.random.default_rng(0), []
+    one, there = np.ones(len(triangles)), x[triangles].mean(axis=1) < 0.2
+    for order, among in (
+        (np.arange(len(points)), np.arange(len(one))),
+        (random.permutation(len(points)), random.permutation(len(one))),
+    ):
+        start, now = np.empty_like(points), np.empty_like(points)
+        start[order], now[order] = points, bent
+        corners = order[np.roll(triangles[among], len(found), axis=1)].astype(np.int32)
+        shell = Shell(
+            points=start, triangles=corners, model="koiter/tan/stvk", rest_points=start, rest_triangles=corners,
+            flat=False, thickness=1e-3 * one, young=1e6 * one, poisson=0.3 * one, density=300.0 * one,
+            fixed=np.zeros_like(start, dtype=bool), motion=np.zeros_like(start), gravity=np.zeros(3), pressure=3.0,
+            patch_pressure=-5.0 * there[among],
+        )  # fmt: skip
+        problem = Problem(shell, MPI.COMM_SELF)
+        assert not problem.conservative
+        at = problem.point(field_vector(problem, (now - start)[problem.part.vertex]))
+        found.append(problem.loads.energies(at)["pressure"])
+    assert found[0] == pytest.approx(found[1], rel=1e-12)

@@ -74,8 +74,14 @@ def pressure_energy(x: Reals, part: Part, rim: tuple[Ints, Reals, Reals]) -> flo
     now, was = x - origin, part.points - origin
     return -float(
         (part.pressure * part.weight) @ _cones(*now[part.corners.T])
-        + jump @ (_cones(now[b], now[a], was[a]) + _cones(now[b], was[a], was[b]))
+        + 0.5 * (jump @ (_ribbon(now[a], now[b], was[a], was[b]) - _ribbon(now[b], now[a], was[b], was[a])))
     )
+
+
+def _ribbon(a: Reals, b: Reals, was_a: Reals, was_b: Reals) -> Reals:
+    """(m,) volumes of cones over the two triangles that an edge sweeps, cut from b's new place to a's old one. Cut the
+    other way a warped ribbon sweeps another volume, so which end counts first would tell: take the mean of both."""
+    return _cones(b, a, was_a) + _cones(b, was_a, was_b)
 
 
 def _cones(a: Reals, b: Reals, c: Reals) -> Reals:

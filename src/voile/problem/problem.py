@@ -87,6 +87,10 @@ class Problem:
         """The same problem at a time."""
         return self._with(time=time)
 
+    def unloaded(self) -> "Problem":
+        """The same problem before any load acts, which therefore has a potential."""
+        return self._with(time=0.0, conservative=True)
+
     def with_passing_hinges(self) -> "Problem":
         """The same problem, in which hinges may turn through 180 degrees, as they may in time where no layer is in
         another's way; equilibria never need it."""

@@ -22,7 +22,9 @@ def solve_statics(
     options = options or StaticsOptions()
     y = problem.create_vector() if start is None else start.copy()
     path = Path(state=y.copy())
+    run = LoadPath(problem, y, options, path)
     if start is None and not found and not problem.contact:  # friction would remember it
+        run.settle_unloaded()
         perturb(problem, y, options.perturbation * problem.thickness())
-    LoadPath(problem, y, options, path).follow(on_step, on_pause, found)
+    run.follow(on_step, on_pause, found)
     return path

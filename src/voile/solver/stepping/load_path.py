@@ -126,6 +126,17 @@ class LoadPath:
                 on_pause(self._packed)
         path.converged, path.reason = True, path.steps[-1].reason
 
+    def settle_unloaded(self) -> None:
+        """Brings a shell that does not start in equilibrium (bands, bars, flat panels) to one before loads without a
+        potential act: no load step is so short that less acts there, and nothing descends then."""
+        if self.problem.conservative:
+            return
+        unloaded, force = self.problem.unloaded(), self.problem.create_vector()
+        wanted = self.asked.tolerance * self.problem.load_norm(self.y)
+        unloaded.residual(self.y, force)
+        if wanted < force.norm():
+            self.solver.solve(unloaded, self.y, wanted, self.solver.all)
+
     def _blurred(self, outcome: Outcome) -> tuple[LoadStep, State] | None:
         """Of a failure: the step that round-off may have kept from the tolerance, and its state."""
         problem, state = self.problem, outcome.blurred
