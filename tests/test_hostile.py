@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from campaign_sources import SCENE as DYNAMICS
 from campaign_sources import STRIP, small_pattern
 
 from voile.results import write_pattern
@@ -101,3 +102,12 @@ def test_names_in_files_are_but_names(tmp_path):
     ]
     page = (out / "report.html").read_text()
     assert "<script>" not in page.split("<h2>Scene</h2>")[1].split("</pre>")[0]
+
+
+def test_loads_beyond_all_numbers_say_so_in_one_line(tmp_path):
+    (tmp_path / "strip.obj").write_text(STRIP)
+    (tmp_path / "scene.toml").write_text(DYNAMICS + "[loads]\npressure = 1e300\n")
+    command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 3 and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("voile: scene.toml: ")

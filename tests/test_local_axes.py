@@ -7,7 +7,7 @@ from test_python import sheet
 
 import voile
 from voile.errors import InputError
-from voile.problem.local_axes import Hold, combined, inverse, principal
+from voile.problem.local_axes import Hold, combined, frame_axes, inverse, principal
 
 TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
 SIZE = 0.1
@@ -125,6 +125,15 @@ def test_frames_that_are_none(fix, message):
     scene["fix"] = [{"select": {"all": True}, **fix}]
     with pytest.raises(InputError, match=message):
         voile.load(scene)
+
+
+@pytest.mark.parametrize("length", [1e300, 1e-300])
+def test_directions_are_of_any_length(length):
+    scene = shell(np.eye(3))
+    scene["fix"] = [{"select": {"all": True}, "frame": [[0.0, 3 * length, 4 * length]]}]
+    (direction,) = voile.load(scene).fix[0].frame
+    axes = frame_axes([direction])
+    assert np.allclose(axes[0], [0.0, 0.6, 0.8], atol=1e-14) and np.allclose(axes @ axes.T, np.eye(3))
 
 
 def _obj(points: np.ndarray, triangles: np.ndarray) -> str:

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from typing import Any
 
 from voile.blas import check_memory
@@ -37,6 +38,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         args = _parser().parse_args(argv[:split])
         args.petsc, debug = argv[split + 1 :], args.debug
+        if process.ends and not sys.warnoptions:  # NumPy's of what is not finite, which messages tell of
+            warnings.simplefilter("ignore", RuntimeWarning)
         check_memory()
         _check_folder()
         code = args.command(args) or 0

@@ -322,3 +322,9 @@ def test_a_pleat_is_held_where_the_bending_measure_has_a_bound():
     result = solve(pleated_strip("theta"), method="direct")
     for simulation in (result.simulation, result.disturbed):
         assert simulation.stable and simulation.settled_sag < 1e-8
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_loads_beyond_all_numbers_are_none():
+    with pytest.raises(NotConverged, match="the loads are not finite"):
+        solve(hanging_sheet(pressure=1e300))

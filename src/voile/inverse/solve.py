@@ -1,5 +1,6 @@
 """Inverse design from start to end: rest shape, certificate of stability, and proof by simulation."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -144,8 +145,10 @@ class Search:
     def direct(self, guess: PETSc.Vec | None = None) -> DirectPath:
         """The direct method. At contacts that slide its outcome depends on how firmly they hold, and Newton's method
         may alternate between two states at any load: all of HOLDS are tried in coarse steps, then the longest path is
-        taken. Raises NotConverged where round-off hides the loads."""
+        taken. Raises NotConverged where round-off hides the loads, or they are no numbers."""
         target, paths = self.target, dict[float, DirectPath]()
+        if not math.isfinite(target.load_norm(target.problem.create_vector())):
+            raise NotConverged("the loads are not finite")
         solver = Direct(target, over=self.target.clock.over)
         holds = HOLDS if target.contacts else HOLDS[:1]
         for smallest in (COARSE, SMALLEST):

@@ -258,11 +258,14 @@ class Axes:
         return {"type": "string", "pattern": r"^(?!.*(.).*\1)[xyz]{1,3}$"}
 
 
+LONG = 500  # powers of two: the square of a longer direction is beyond double precision
+
+
 @dataclasses.dataclass(frozen=True)
 class Array:
     """An array of `length` items (without it `least` or more), each of kind `item`; read to a tuple.
 
-    `lone`: an item without brackets is allowed too, and read to itself.
+    `lone`: an item without brackets is allowed too, and read to itself. nonzero: a direction, of any length.
     """
 
     item: Kind
@@ -287,8 +290,12 @@ class Array:
                 items.append(self.item.read(entry))
             except Rejected as error:
                 raise Rejected(f"in {show(value)}, {error.problem}") from None
-        if self.nonzero and not any(items):
-            raise _not_allowed(value, self)
+        if self.nonzero:
+            if not any(items):
+                raise _not_allowed(value, self)
+            exponent = math.frexp(max(map(abs, items)))[1]
+            if abs(exponent) > LONG:  # the square of its length is no number, or none
+                items = [math.ldexp(item, -exponent) for item in items]
         return tuple(items)
 
     def allowed(self) -> str:

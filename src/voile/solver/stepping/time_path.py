@@ -4,6 +4,7 @@ Each step is the problem at its end with an Inertia term. `Problem.contact` reme
 slip is that of the step, relative to the obstacle.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -282,6 +283,8 @@ class Stepper:
             prediction = prediction.where(by_euler, euler)
             step = forces.balance(prediction)
             wanted = wanted or self._wanted(step, prediction)
+            if not math.isfinite(wanted):
+                return prediction, step, wanted, Outcome(False, "", "the loads are not finite")
             outcome = self.solver.solve(step, self.y, wanted)
             now = self._by_euler(problem, by_euler)
             if not outcome.converged or problem.everywhere(np.array_equal(now, by_euler)):
