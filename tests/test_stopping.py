@@ -56,3 +56,24 @@ def test_programs_that_call_the_command_line_have_their_signals_again():
     with pytest.raises(KeyboardInterrupt), stoppable() as told:
         signal.raise_signal(signal.SIGTERM)
     assert told == [signal.SIGTERM] and signal.getsignal(signal.SIGTERM) is before
+
+
+LOADING = """
+import signal, sys
+from voile import cli
+from voile.commands import all_commands
+def told(args):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        raise ImportError("numpy.core.multiarray failed to import") from None
+all_commands()["schema"].run = told
+sys.exit(cli.main())
+"""
+
+
+def test_a_signal_that_a_module_meets_while_it_is_loaded_is_one():
+    """Modules of C say that they cannot be imported: "voile: ImportError: ..." and exit code 1 at times."""
+    command = [sys.executable, "-c", LOADING, "schema"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 130 and done.stderr == "voile: stopped by a signal\n", done.stderr

@@ -12,7 +12,7 @@ from voile.blas import check_memory
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged, printable
 from voile.launch import launched, without_launcher
-from voile.signals import process
+from voile.signals import noted, process
 
 INTERRUPTED = 130  # as shells say it of Ctrl-C
 # modules that a plain install lacks -> the extra of pyproject.toml that brings them
@@ -33,6 +33,7 @@ def main(argv: list[str] | None = None) -> int:
     without_launcher()
     _open_streams()
     process.ends = argv is None
+    told = noted() if process.ends else []
     argv, debug = list(sys.argv[1:] if argv is None else argv), False
     split = argv.index("--") if "--" in argv else len(argv)
     try:
@@ -50,15 +51,15 @@ def main(argv: list[str] | None = None) -> int:
             print(f"voile: {printable(str(error))}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        if process.ends:  # a second one would cut short what the first began
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return _ended("stopped by a signal", INTERRUPTED)
+        return _stopped()
     except MemoryError:
         return _ended("not enough memory for this; allowed: a smaller mesh, or more memory (ulimit -v)", 1)
     except BrokenPipeError:  # who reads has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
+        if told:
+            return _stopped()
         if debug:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
@@ -86,6 +87,12 @@ def _open_streams() -> None:
                 os.dup2(nowhere, number)
                 os.close(nowhere)
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
+
+
+def _stopped() -> int:
+    if process.ends:  # a second signal would cut short what the first began
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return _ended("stopped by a signal", INTERRUPTED)
 
 
 def _ended(why: str, code: int) -> int:

@@ -57,6 +57,20 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
             signal.signal(number, signal.SIG_IGN if told and process.ends else handler)
 
 
+def noted() -> list[int]:
+    """The list in which every Ctrl-C is noted from now on, beside what Python does with it: a module of C that meets it
+    while it is loaded says instead that it cannot be imported."""
+    told: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        told.append(number)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop)
+    return told
+
+
 def _outlived(number: int) -> bool:
     """Whether a run is to outlive this signal: nohup has the end of the terminal ignored."""
     return number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN
