@@ -194,7 +194,7 @@ def results(folder: Path, source: Path, count: int, seed: int) -> Iterator[Case]
             what, data = damaged(victim.read_bytes(), rng)
             (place / victim.name).write_bytes(data)
         command = commands[int(rng.integers(len(commands)))]
-        if k % 40 == 39:
+        if k % 20 == 19:
             command = ["animate", ".", "-o", "a.gif"]
         yield f"{k}: {victim.name}, {what}", [str(place) if c == "." else c for c in command]
 

@@ -142,8 +142,10 @@ print(before != "Nehalem", voile.blas.offered_core(), voile.blas.used().core)
 
 @needs_openblas
 def test_numpy_loaded_before_cannot_be_changed_and_that_is_said():
+    # PyPI's numpy brings a library of its own: there another program has loaded the one that PETSc takes.
     program = """
-import os, numpy
+import ctypes, os, numpy
+ctypes.CDLL("libblas.so.3")
 del os.environ["OPENBLAS_CORETYPE"]
 import voile.blas
 print(voile.blas.used().core, voile.blas.used().note)

@@ -9,7 +9,7 @@ import pytest
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 # count, seed; that of kills ends load steps on one rank and on two
 CASES = {
-    "results": (40, 1),
+    "results": (20, 1),
     "patterns": (40, 1),
     "meshes": (36, 1),
     "scenes": (40, 1),

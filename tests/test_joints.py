@@ -197,7 +197,7 @@ def test_it_falls_as_one_and_lands():
     assert held == pytest.approx(weight, rel=1e-6)
 
 
-@pytest.mark.parametrize("stiffness", [0.0, 1e-2])
+@pytest.mark.parametrize("stiffness", [pytest.param(0.0, marks=pytest.mark.slow), 1e-2])
 def test_two_ranks_find_the_same_shape(tmp_path, run_on, stiffness):
     mesh = tee()
     lines = ["v " + " ".join(f"{c:.17g}" for c in x) for x in mesh.points]

@@ -264,7 +264,7 @@ def test_bad_scenes(scene, capsys, text, message):
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     "text",
-    [SCENE + "[modes]\ncount = 9\n", HEAVY + CLAMP, BUCKLING],
+    [SCENE + "[modes]\ncount = 9\n", pytest.param(HEAVY + CLAMP, marks=pytest.mark.slow), BUCKLING],
     ids=["free", "heavy", "buckling"],
 )
 def test_ranks_agree(scene, tmp_path, run_on, rank_counts, text):

@@ -45,7 +45,7 @@ def voile(tmp_path, capsys):
     return run
 
 
-@pytest.mark.parametrize("method", ["adjoint", "tao", "direct"])
+@pytest.mark.parametrize("method", ["adjoint", pytest.param("tao", marks=pytest.mark.slow), "direct"])
 def test_a_density_that_no_rest_shape_bears(voile, method):
     text = INVERSE + SHELL.format(young=1e6, density=2**31) + HELD + f'[inverse]\nmethod = "{method}"\n'
     code, said, summary = voile(text)

@@ -121,7 +121,8 @@ def test_steps_on_a_turning_sphere_are_newtons(friction):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("name", "steps", "exact"), [("free", 18, 1e-10), ("sphere", 20, 1e-6), ("layers", 14, 1e-6)]
+    ("name", "steps", "exact"),
+    [pytest.param("free", 18, 1e-10, marks=pytest.mark.slow), ("sphere", 20, 1e-6), ("layers", 14, 1e-6)],
 )
 def test_any_number_of_ranks_finds_the_same(tmp_path, script_on, rank_counts, name, steps, exact):
     """Steps in which the sheet falls by more than 0.1 m, and layers meet."""

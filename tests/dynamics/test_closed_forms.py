@@ -89,7 +89,7 @@ def test_errors_follow_the_accuracy_of_adaptive_steps(scheme, order):
         assert np.log10(coarse / fine) / 2.0 == pytest.approx(power / (order + 1), rel=0.15)
 
 
-@pytest.mark.parametrize("zeta", [0.05, 0.5, 2.0])
+@pytest.mark.parametrize("zeta", [0.05, pytest.param(0.5, marks=pytest.mark.slow), 2.0])
 @pytest.mark.parametrize(
     ("scheme", "theta"), [("implicit-euler", 1.0), ("generalized-alpha", 1.0), ("moreau-jean", 0.5)]
 )

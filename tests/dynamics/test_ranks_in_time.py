@@ -25,7 +25,7 @@ INSIDE = SCENE.replace("-0.12]", "-0.099]").replace("time_step = 0.005", "time_s
 @pytest.mark.mpi
 @pytest.mark.parametrize(
     ("text", "within"),
-    [(FREE, 1e-10), (PULLED, 1e-10), (SCENE, 1e-6), (INSIDE, 1e-6)],
+    [pytest.param(FREE, 1e-10, marks=pytest.mark.slow), (PULLED, 1e-10), (SCENE, 1e-6), (INSIDE, 1e-6)],
     ids=["free", "pulled", "contact", "inside"],
 )
 def test_ranks_agree(scene, tmp_path, run_on, rank_counts, text, within):

@@ -46,7 +46,7 @@ def estimation(observed, names, noise=0.0, seed=0, **guess):
     return Estimation([Observation(seen(of, observed, noise, seed))], names)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.2, 10.0])
+@pytest.mark.parametrize("share", [0.1, pytest.param(0.2, marks=pytest.mark.slow), 10.0])
 def test_a_poor_guess_of_folded_cloth_does_not_stay_on_another_branch(share):
     """Without another look from the observed shape these guesses end 11 % too high to 25 % too low."""
     drape = simulated(folded_skirt(young=2e6))
@@ -158,7 +158,7 @@ def on_the_drum(draped, names, noise=0.0, seed=0, friction=FRICTION, **guess):
     return Estimation([Observation(problem, obstacles=(drum,))], names, 1e-9)
 
 
-@pytest.mark.parametrize("factor", [0.3, 3.0])
+@pytest.mark.parametrize("factor", [pytest.param(0.3, marks=pytest.mark.slow), 3.0])
 def test_exact_drape_on_an_obstacle_with_friction_gives_back_the_modulus(draped, factor):
     found = on_the_drum(draped, ("young",), young=factor * 2e7).solve()
     assert found.values["young"] == pytest.approx(2e7, rel=1e-5)
