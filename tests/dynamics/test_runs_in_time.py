@@ -174,6 +174,22 @@ def test_loads_in_time_need_time(scene, tmp_path, capsys, given):
     assert f"loads.{given.split('=')[0]}" in said and "task = dynamics" in said
 
 
+@pytest.mark.parametrize("solver", ["newton", "local-global"])
+def test_a_run_that_goes_on_from_its_end_keeps_its_summary(scene, tmp_path, solver):
+    given = ["--set", "dynamics.duration=0.2", "--set", f"dynamics.solver={solver}"]
+    if solver == "local-global":
+        given += ["--set", "shell.model=projective", "--set", "dynamics.iterations=3"]
+    told = []
+    for more in ((), ("--resume",)):
+        assert main(["run", str(scene), "-o", str(tmp_path / "out"), *more, *given]) == 0
+        told.append(read_summary(tmp_path / "out" / "summary.json"))
+    for summary in told:
+        del summary["wall_time_s"], summary["peak_memory_mib"]
+    assert told[0]["energy"] and told[0]["contact"]["active"] and told[0]["residual_norm"]
+    assert told[0]["krylov_iterations"] if solver == "newton" else "stopped by count" in told[0]["reason"]
+    assert told[0] == told[1]
+
+
 def test_resume_refuses_what_is_not_its_own(scene, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(scene), "-o", str(out), "--resume"]) == 2

@@ -59,8 +59,8 @@ class TimeStep:
 @dataclass
 class TimePath:
     """The outcome: `state` (unknowns), kinematics and books of the last good step, also when `converged` is False; what
-    supports exerted in it. For the next step: its length (s), the largest force without loads so far (N), which
-    vertices (n,) something pushed."""
+    supports exerted in it; how many steps missed their tolerance clearly (`short`), by how many times at most. For the
+    next step: its length (s), the largest force without loads so far (N), which vertices (n,) something pushed."""
 
     state: PETSc.Vec
     kinematics: Kinematics
@@ -73,6 +73,8 @@ class TimePath:
     methods: list[str] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     attempts: int = 0
+    short: int = 0
+    worst: float = 0.0
     length: float = 0.0
     largest: float = 0.0
     pushed: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))

@@ -43,10 +43,10 @@ def run(job: Run) -> str:
         steps = TimeSteps(job, problem, writer, path, d.duration)
         Stepper(problem, options, step_solver(job, problem), path).follow(steps)
         steps.finish(path)
-    if steps.short:
+    if path.short:
         told, by = (
-            f"{steps.short} of {path.count} steps",
-            f"above their tolerance, by up to {steps.worst:.1e} times",
+            f"{path.short} of {path.count} steps",
+            f"above their tolerance, by up to {path.worst:.1e} times",
         )
         if d.solver == "local-global":
             told += f" end {by}, stopped by count, dynamics.iterations = {d.iterations}"

@@ -46,10 +46,6 @@ class TimeSteps:
 
     def __init__(self, job: Run, problem: Problem, writer: ResultWriter, path: TimePath, duration: float):
         self.job, self.problem, self.writer, self.duration = job, problem, writer, duration
-        self.short, self.worst = (
-            0,
-            0.0,
-        )  # steps that missed their tolerance clearly, by how many times at most
         self.written, stored = path.time if job.resumes else -1.0, path.count if job.resumes else 0
         if stored and job.comm.rank == 0:  # before the first step there is no history
             read_history(job.folder)  # refuses one that is damaged
@@ -61,7 +57,7 @@ class TimeSteps:
     def __call__(self, step: TimeStep, path: TimePath) -> None:
         self.history.add(row(step, path) | self._supports(step, path))
         if step.residual > MISSED * step.tolerance:
-            self.short, self.worst = self.short + 1, max(self.worst, step.residual / step.tolerance)
+            path.short, path.worst = path.short + 1, max(path.worst, step.residual / step.tolerance)
         if step.time >= self.duration or path.count % self.job.scene.output.every == 0:
             self.write(step.time, step.residual, path)
             if self.job.restarts.due():

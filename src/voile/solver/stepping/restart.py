@@ -5,6 +5,7 @@ from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from voile.contact.candidates import Candidates
 from voile.contact.history import PER_PARTNER, History
@@ -12,12 +13,12 @@ from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.problem.support_forces import Supporting
 from voile.solver.path import Arrays, Jump, LoadStep, Path
-from voile.solver.path_in_time import TimePath
+from voile.solver.path_in_time import TimePath, TimeStep
 from voile.solver.stepping.books import TOTALS, Books
 from voile.solver.stepping.schemes import Before, Kinematics
 
 FIELDS = ("positions", "velocity", "acceleration", "filtered")
-COUNTS = ("factorisations", "solves", "iterations")
+COUNTS = ("factorisations", "solves", "iterations", "krylov")
 
 
 def packed(problem: Problem, path: TimePath) -> Arrays:
@@ -36,6 +37,7 @@ def packed(problem: Problem, path: TimePath) -> Arrays:
     found["totals"] = np.array([path.books.totals[name] for name in TOTALS])
     found["counts"] = np.array([*(getattr(path.counts, name) for name in COUNTS), path.attempts])
     found["methods"] = np.frombuffer("\n".join(path.methods).encode(), dtype=np.uint8)
+    found["said"] = _said(last=path.last and asdict(path.last), short=path.short, worst=path.worst)
     return found | (packed_history(contact.history) if contact else {})
 
 
@@ -92,7 +94,7 @@ def packed_path(path: Path, **more: Any) -> Arrays:
         "smallest_eigenvalue": path.smallest_eigenvalue,
         **more,
     }
-    return {"said": np.frombuffer(json.dumps(said, default=_plain).encode(), dtype=np.uint8)}
+    return {"said": _said(**said)}
 
 
 def unpacked_path(found: Arrays, path: Path) -> dict[str, Any]:
@@ -105,6 +107,11 @@ def unpacked_path(found: Arrays, path: Path) -> dict[str, Any]:
     for name, value in zip(COUNTS, said["counts"], strict=True):
         setattr(path.counts, name, value)
     return said
+
+
+def _said(**values: Any) -> NDArray[np.uint8]:
+    """Plain values as the bytes of their JSON."""
+    return np.frombuffer(json.dumps(values, default=_plain).encode(), dtype=np.uint8)
 
 
 def _plain(value: Any) -> Any:
@@ -128,6 +135,9 @@ def unpacked(problem: Problem, found: Arrays) -> TimePath:
         path.supporting = Supporting(*(found[f"supports.{f.name}"] for f in fields(Supporting)))
     problem.elastic.take_sides(found["sides"])
     path.methods = found["methods"].tobytes().decode().split("\n") if len(found["methods"]) else []
+    said = json.loads(found["said"].tobytes())
+    path.last = said["last"] and TimeStep(**said["last"])
+    path.short, path.worst = said["short"], said["worst"]
     *counts, path.attempts = found["counts"].tolist()
     for name, value in zip(COUNTS, counts, strict=True):
         setattr(path.counts, name, value)
