@@ -23,7 +23,12 @@ def test_every_template_is_offered():
     assert {folder.name for folder in STORED.iterdir()} == set(TEMPLATES)
 
 
-@pytest.mark.parametrize("template", TEMPLATES)
+TOLD = {"drape", "pattern"}  # the tutorial runs them, which test_docs.py proves
+
+
+@pytest.mark.parametrize(
+    "template", [pytest.param(t, marks=pytest.mark.slow) if t in TOLD else t for t in TEMPLATES]
+)
 def test_a_new_scene_runs(tmp_path, monkeypatch, capsys, template):
     """As the command says: copied with its name, explained, solved, with a page."""
     monkeypatch.chdir(tmp_path)

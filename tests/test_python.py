@@ -212,7 +212,7 @@ def test_many_runs_leak_nothing():
     scenes = [cantilever(), falling(), {**falling(), "scene": {}}]
     for scene in 2 * scenes:
         voile.run(scene)
-    files, began, runs = len(os.listdir("/proc/self/fd")), memory(), 8 * scenes
+    files, began, runs = len(os.listdir("/proc/self/fd")), memory(), 5 * scenes
     others = set(Path("/tmp").glob("voile-*/result.vtkhdf"))  # of runs that were killed
     for scene in runs:
         voile.run(scene)

@@ -212,7 +212,7 @@ def test_killed_runs_keep_their_last_complete_step(tmp_path):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("seconds", [0.05, pytest.param(0.13, marks=pytest.mark.slow), 0.4])
+@pytest.mark.parametrize("seconds", [*(pytest.param(s, marks=pytest.mark.slow) for s in (0.05, 0.13)), 0.4])
 def test_killed_parallel_runs_keep_their_last_complete_step(tmp_path, mpirun, seconds):
     path = tmp_path / "result.vtkhdf"
     done = mpirun(2, [sys.executable, __file__, str(path), "100000", str(seconds)], 60)

@@ -70,7 +70,9 @@ def test_supports_that_fold_the_shell_over_are_told_at_once(solved):
 
 
 # Factorisations from supports put to their new places at once: 369 and 708.
-@pytest.mark.parametrize("seed, most, energy", [(36, 150, 0.001528), (29, 500, 0.06306)])
+@pytest.mark.parametrize(
+    "seed, most, energy", [pytest.param(36, 150, 0.001528, marks=pytest.mark.slow), (29, 500, 0.06306)]
+)
 def test_where_supports_lead_the_shell_is_predicted(seed, most, energy, solved):
     path, problem = solved(seed)
     assert path.converged and path.stable

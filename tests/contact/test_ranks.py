@@ -30,7 +30,7 @@ SLOW = pytest.mark.slow
     ("body", "more"),
     [
         pytest.param("sphere", "", id="sphere"),
-        pytest.param("sphere", CORNERS, id="corner held"),
+        pytest.param("sphere", CORNERS, id="corner held", marks=SLOW),
         pytest.param("cone", "", id="cone", marks=SLOW),
         pytest.param("torus", "", id="torus", marks=SLOW),
     ],

@@ -45,7 +45,11 @@ def test_what_touches_a_body_goes_with_it():
 
 
 @pytest.mark.parametrize(
-    "radius, way", [(0.2, 0.05), (0.02, 0.1)], ids=["a quarter of its radius", "past itself"]
+    "radius, way",
+    [
+        pytest.param(0.2, 0.05, marks=pytest.mark.slow, id="a quarter of its radius"),
+        pytest.param(0.02, 0.1, id="past itself"),
+    ],
 )
 def test_a_body_that_only_moves_keeps_its_shape(radius, way):
     frames = frames_of([np.zeros(3), np.array([way, 0.0, 0.0])], [radius, radius], fine=0.1 * radius)

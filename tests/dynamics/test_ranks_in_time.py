@@ -10,8 +10,8 @@ from voile.results.history import read_history
 __all__ = ["scene"]  # a fixture
 FREE = SCENE[: SCENE.index("[[obstacle]]")] + SCENE[SCENE.index("[dynamics]") :]
 FREE = FREE.replace("velocity = [", "angular_velocity = [1.0, 2.0, 3.0]\nvelocity = [").replace(
-    "0.2\n", "0.5\n"
-)  # 100 steps
+    "0.2\n", "0.3\n"
+)  # 60 steps
 # a load on one vertex alone, from before as well
 PULLED = FREE.replace("-9.81", "0.0").replace(
     "[dynamics]",

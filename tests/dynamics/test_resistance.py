@@ -16,7 +16,7 @@ POINTS, TRIANGLES = sheet(4, 2)
 AREAL = 0.3  # kg/m^2 of `cloth`
 
 
-@pytest.mark.parametrize("wind", [0.0, 2.0])
+@pytest.mark.parametrize("wind", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_a_sheet_falls_through_air_as_fast_as_it_drags(wind):
     drag, h = 0.6, 1e-3
     air = Air(np.array([5.0, 0.0, wind]), drag)  # what blows along the sheet does nothing
