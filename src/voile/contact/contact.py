@@ -104,15 +104,16 @@ class Contact(NaturalMap):
         partner, rho = self.partners[k], self.rho(k, softness)
         wide, rows, gap = self.near(k, x, t, rho, True)
         s = self.history
-        laws = 0.5 * np.maximum(s.normal[k][rows] - rho * gap, 0.0) ** 2
+        laws = 0.5 * np.maximum(s.normal[k][rows] - rho * gap, 0.0) ** 2 / rho
         rubs = s.tresca[k][rows] > 0.0
         if rubs.any():
             these = rows[rubs]
             moved = partner.moved(these, s.frozen_weight[k][these], wide, t, s)
-            trial = within(s.frozen_normal[k][these], s.friction[k][these] - rho * moved)
+            along = self.sliding(softness)
+            trial = within(s.frozen_normal[k][these], s.friction[k][these] - along * moved)
             size, bound = lengths(trial), s.tresca[k][these]
-            laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound))
-        laws = laws / rho + self.keeps_apart(k, rows, gap, rho)[0]
+            laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound)) / along
+        laws += self.keeps_apart(k, rows, gap, rho)[0]
         return float(laws[partner.counted(rows, s)].sum())
 
     def force(self, x: Reals, t: float, softness: float = 1.0) -> Reals:
@@ -136,7 +137,7 @@ class Contact(NaturalMap):
             normal = self.history.frozen_normal[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
             tangent = np.eye(3) - outer(normal, normal) - slips[:, None, None] * outer(along, along)
-            tangent *= p.rho * (share * (p.bound > 0.0))[:, None, None]
+            tangent *= p.along * (share * (p.bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.slip_weight)
 
     def adopt(self, x: Reals, t: float, softness: float = 1.0) -> None:

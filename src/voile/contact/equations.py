@@ -17,7 +17,7 @@ class Equations:
 
     def __init__(self, contact: NaturalMap, p: Pairs, firmness: float):
         self.pairs, self.mu = p, p.friction
-        s, rho = contact.history, p.rho
+        s = contact.history
         self.partner, self.history = contact.partners[p.index], s
         self.penalty = firmness * contact.penalty
         fresh = not s.normal[p.index].any()  # no reactions yet: all that touches may carry one, and sticks
@@ -32,7 +32,7 @@ class Equations:
         self.tangential = np.eye(3) - outer(p.unit, p.unit)
         self.sideways = self.tangential - outer(along, along)
         share = np.where(self.slips & (self.mu > 0.0), np.minimum(p.bound / size, 1.0 - 1e-5), 0.0)
-        self.turning = rho * share / (1.0 - share)  # N/m: friction's direction follows the slip's
+        self.turning = p.along * share / (1.0 - share)  # N/m: friction's direction follows the slip's
         self.pressed = np.maximum(p.lam_n, 0.0)
 
     @property

@@ -70,8 +70,13 @@ class NaturalMap:
         self.seconds += time.perf_counter() - began
 
     def rho(self, k: int, softness: float = 1.0) -> float:
-        """N/m, scale of the natural map with partner k; softness: a factor on it."""
+        """N/m, scale of the natural map with partner k, across the surface; softness: a factor on it."""
         return softness * self._scale * (1.0 if k < len(self.obstacles) else LAYERS)
+
+    def sliding(self, softness: float = 1.0) -> float:
+        """N/m, the same along any surface: about what resists there. What slips and turns back sticks within a way of
+        twice friction's bound over it, so it never hardens, nor are layers tight along each other."""
+        return min(softness, 1.0) * self._scale
 
     def reach(self, k: int) -> float:
         """Gap (m) to partner k within which a contact without a reaction may carry one. Where none does yet, that is as
@@ -187,30 +192,31 @@ class NaturalMap:
 
     def pairs(self, x: Reals, t: float, softness: float = 1.0) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction, under the laws; softness: of rho."""
-        return self._pairs(x, t, self._rhos(softness))
+        return self._pairs(x, t, self.sliding(softness), self._rhos(softness))
 
     def measured_pairs(self, x: Reals, t: float, sharp: float = np.inf) -> list[Pairs]:
         """The same for norms: layers with the rho of obstacles, and none above `sharp` (N/m). The laws are the same
         with any rho, the round-off of gaps counts for less."""
-        return self._pairs(x, t, [min(self._scale, sharp)] * len(self.partners))
+        rho = min(self._scale, sharp)
+        return self._pairs(x, t, rho, [rho] * len(self.partners))
 
     def frozen_pairs(self, x: Reals, t: float, softness: float) -> list[Pairs]:
         """The same with the normals, weights and friction bounds of the history instead of x's."""
-        return self._pairs(x, t, self._rhos(softness), frozen=True)
+        return self._pairs(x, t, self.sliding(softness), self._rhos(softness), frozen=True)
 
     def opening_pairs(self, x: Reals, t: float) -> list[Pairs]:
         """As `pairs`, of which equations decide what opens: see `opening`."""
-        return self._pairs(x, t, self._rhos(), self.opening)
+        return self._pairs(x, t, self.sliding(), self._rhos(self.opening))
 
     def _rhos(self, softness: float = 1.0) -> list[float]:
         return [self.rho(k, softness) for k in range(len(self.partners))]
 
     def _pairs(
-        self, x: Reals, t: float, rhos: list[float], across: float = 1.0, frozen: bool = False
+        self, x: Reals, t: float, along: float, across: list[float], frozen: bool = False
     ) -> list[Pairs]:
-        """rhos (N/m): each partner's along its surface; across: a factor on them across it."""
+        """along, across: rho (N/m) along the surfaces and, each partner's, across."""
         with self.timed():
-            found = [self._near(k, x, t, rho, across * rho, frozen) for k, rho in enumerate(rhos)]
+            found = [self._near(k, x, t, along, rho, frozen) for k, rho in enumerate(across)]
         return [p for p in found if p is not None]
 
     def near(self, k: int, x: Reals, t: float, rho: float, frozen: bool) -> tuple[Reals, Ints, Reals]:
@@ -226,8 +232,8 @@ class NaturalMap:
         rows = np.flatnonzero(near & partner.movable(s))
         return wide, rows, gap[rows]
 
-    def _near(self, k: int, x: Reals, t: float, rho: float, steep: float, frozen: bool) -> Pairs | None:
-        wide, rows, _ = self.near(k, x, t, steep, frozen)
+    def _near(self, k: int, x: Reals, t: float, along: float, across: float, frozen: bool) -> Pairs | None:
+        wide, rows, _ = self.near(k, x, t, across, frozen)
         if not len(rows):
             return None
         s, partner = self.history, self.partners[k]
@@ -236,11 +242,11 @@ class NaturalMap:
         unit = g.gradient / gradient_norm[:, None]
         normal, weight = (s.frozen_normal[k][rows], s.frozen_weight[k][rows]) if frozen else (unit, g.weight)
         d = partner.moved(rows, weight, wide, t, s)
-        trial = within(normal, s.friction[k][rows] - rho * d)
-        lam_n = s.normal[k][rows] - steep * g.gap
+        trial = within(normal, s.friction[k][rows] - along * d)
+        lam_n = s.normal[k][rows] - across * g.gap
         slip, mu = within(normal, d), partner.friction
         bound = s.tresca[k][rows] if frozen else mu * gradient_norm * np.maximum(lam_n, 0.0)
-        return Pairs(k, mu, rho, rows, g, unit, gradient_norm, lam_n, trial, bound, slip, weight)
+        return Pairs(k, mu, across, along, rows, g, unit, gradient_norm, lam_n, trial, bound, slip, weight)
 
     def guard(self, p: Pairs) -> Reals:
         """`keeps_apart` of pairs."""

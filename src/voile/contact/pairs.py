@@ -26,15 +26,17 @@ class Geometry:
 
 @dataclass
 class Pairs:
-    """Contacts of the shell with one partner (obstacle or itself; p of them), rho (N/m) the natural map's scale, `row`
-    their places in its part of the history; the gap's Geometry; the unit normal, the gradient's length, and the trial
-    reaction: lam_n along the gradient, lam_t (p, 3) N in the tangent plane; friction's bound (p,) N, mu lam_n but where
-    the potential freezes it; slip (p, 3) m, tangential since the start of the step; slip_weight (p, s) the vertices'
-    weights in slip and friction: those of the gap but where the potential freezes them."""
+    """Contacts of the shell with one partner (obstacle or itself; p of them). The natural map's scale (N/m): rho across
+    the surface, `along` it; `row` their places in its part of the history; the gap's Geometry; the unit normal, the
+    gradient's length, and the trial reaction: lam_n along the gradient, lam_t (p, 3) N in the tangent plane; friction's
+    bound (p,) N, mu lam_n but where the potential freezes it; slip (p, 3) m, tangential since the start of the step;
+    slip_weight (p, s) the vertices' weights in slip and friction: those of the gap but where the potential freezes
+    them."""
 
     index: int
     friction: float
     rho: float
+    along: float
     row: Ints
     geometry: Geometry
     unit: Reals
