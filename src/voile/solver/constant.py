@@ -1,7 +1,10 @@
 """Constant matrices of a shell's unknowns that do not couple axes: factored once, solved with for all axes at once.
 
-On one rank by CHOLMOD, one factor for axes with the same unknowns; on several by MUMPS.
+Each rank has the whole factor, one for axes with the same unknowns, and solves for all: a solve takes less than the
+messages of a shared one (on two ranks 500 times, at 289 vertices).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -10,38 +13,55 @@ from petsc4py import PETSc
 from voile import _projective
 from voile.arrays import Ints, Reals
 from voile.problem.problem import Problem
-from voile.solver.linear import Counts, LinearSolver, factored
+from voile.solver.linear import Counts
+
+
+@dataclass
+class Group:
+    """Axes along which the same vertices move: rows (axes, size) of this rank's unknowns, everywhere (axes, whole) the
+    numbers of all ranks', of which those of this rank stand at `here`."""
+
+    rows: Ints
+    everywhere: Ints
+    here: slice
 
 
 class ConstantMatrices:
-    """Factors positive definite matrices of a problem's unknowns, the blocks of one, and counts so on one rank.
-    `groups`: (axes, size) own unknowns of axes along which the same vertices move; the matrices couple each axis of a
-    group alike."""
+    """Factors positive definite matrices of a problem's unknowns, the blocks of one. `groups`: (axes, size) own
+    unknowns of axes along which the same vertices move; the matrices couple each axis of a group alike."""
 
     def __init__(self, problem: Problem, matrices: list[PETSc.Mat], counts: Counts):
-        self.counts, self.groups = counts, _alike(problem)
-        self._several: list[LinearSolver] = []
-        self._factors: list[list[_projective.Cholesky]] = []
-        if problem.comm.size > 1:
-            self._several = [factored(matrix, counts, "") for matrix in matrices]
-            self._b, self._x = problem.create_vector(), problem.create_vector()
-            return
+        self.counts, self.comm = counts, problem.comm
+        self._groups = [_everywhere(problem, rows) for rows in _alike(problem)]
         with counts.factorising():
-            self._factors = [[_factor(matrix, rows[0]) for rows in self.groups] for matrix in matrices]
+            self._factors = [self._factored(matrix) for matrix in matrices]
+
+    @property
+    def groups(self) -> list[Ints]:
+        return [group.rows for group in self._groups]
 
     def solve(self, which: int, right: list[Reals]) -> None:
         """Right-hand sides (at most axes, size) of each group become the solutions, by one of the matrices."""
-        if not self._several:
-            with self.counts.solving():
-                for factor, sides in zip(self._factors[which], right, strict=True):
-                    factor.solve(sides)
-            return
-        self._b.set(0.0)
-        for rows, sides in zip(self.groups, right, strict=True):
-            self._b.array[rows[: len(sides)]] = sides
-        self._several[which].solve(self._b, self._x)
-        for rows, sides in zip(self.groups, right, strict=True):
-            sides[:] = self._x.array_r[rows[: len(sides)]]
+        with self.counts.solving():
+            for group, factor, sides in zip(self._groups, self._factors[which], right, strict=True):
+                whole = np.concatenate(self.comm.allgather(sides), axis=1)
+                factor.solve(whole)
+                sides[:] = whole[:, group.here]
+
+    def _factored(self, matrix: PETSc.Mat) -> list[_projective.Cholesky]:
+        """Of the block of each group's first axis."""
+        rows = PETSc.IS().createStride(matrix.getSize()[0], step=1, comm=PETSc.COMM_SELF)
+        (whole,) = matrix.createSubMatrices(rows, rows)
+        start, column, value = whole.getValuesCSR()
+        sparse = sp.csr_matrix((value, column, start), shape=whole.getSize())
+        return [_factor(sparse, group.everywhere[0]) for group in self._groups]
+
+
+def _everywhere(problem: Problem, rows: Ints) -> Group:
+    counts = problem.comm.allgather(rows.shape[1])
+    before = sum(counts[: problem.comm.rank])
+    everywhere = np.concatenate(problem.comm.allgather(problem.part.first_global + rows), axis=1)
+    return Group(rows, everywhere, slice(before, before + rows.shape[1]))
 
 
 def _alike(problem: Problem) -> list[Ints]:
@@ -58,10 +78,9 @@ def _alike(problem: Problem) -> list[Ints]:
     return [np.stack(group) for group in groups if not problem.everywhere(not len(group[0]))]
 
 
-def _factor(matrix: PETSc.Mat, rows: Ints) -> _projective.Cholesky:
+def _factor(matrix: sp.csr_matrix, rows: Ints) -> _projective.Cholesky:
     """Of the block of some unknowns of a matrix."""
-    start, column, value = matrix.getValuesCSR()
-    part = sp.csr_matrix((value, column, start), shape=matrix.getSize())[rows][:, rows]
+    part = matrix[rows][:, rows]
     part.eliminate_zeros()
     part.sort_indices()
     return _projective.Cholesky(part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data)
