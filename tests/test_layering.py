@@ -15,7 +15,7 @@ ALLOWED = {
     "errors": set(),
     "launch": set(),
     "files": set(),
-    "signals": set(),
+    "signals": {"files"},
     "keys": {"mesh"},
     "blas": {"_petsc"},
     "petsc_options": {"_petsc", "launch"},

@@ -77,3 +77,26 @@ def test_a_signal_that_a_module_meets_while_it_is_loaded_is_one():
     command = [sys.executable, "-c", LOADING, "schema"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert done.returncode == 130 and done.stderr == "voile: stopped by a signal\n", done.stderr
+
+
+DRAWN_TO = """
+import os, signal, sys
+from PIL import Image
+def save(*words, **more):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except BaseException:
+        os._exit(9)  # an exception on the way
+Image.Image.save = save
+from voile.cli import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_ends_what_draws_at_once(voile):  # noqa: F811
+    """VTK crashes where an exception comes out of what it loads."""
+    assert voile("one") == (0, "")
+    command = [sys.executable, "-c", DRAWN_TO, "render", voile.folder, "-o", voile.folder / "a.png"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stderr) == (130, "voile: stopped by a signal\n")
+    assert not list(voile.folder.glob("*a.png*"))

@@ -12,9 +12,8 @@ from voile.blas import check_memory
 from voile.commands import all_commands
 from voile.errors import InputError, NotConverged, printable
 from voile.launch import launched, without_launcher
-from voile.signals import noted, process
+from voile.signals import INTERRUPTED, STOPPED, noted, process
 
-INTERRUPTED = 130  # as shells say it of Ctrl-C
 # modules that a plain install lacks -> the extra of pyproject.toml that brings them
 EXTRAS = {
     "pyvista": "pictures",
@@ -92,7 +91,7 @@ def _open_streams() -> None:
 def _stopped() -> int:
     if process.ends:  # a second signal would cut short what the first began
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return _ended("stopped by a signal", INTERRUPTED)
+    return _ended(STOPPED, INTERRUPTED)
 
 
 def _ended(why: str, code: int) -> int:

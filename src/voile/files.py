@@ -14,6 +14,7 @@ from typing import IO
 
 from voile.errors import InputError, NotWritten
 
+unfinished: set[Path] = set()  # temporary files that are being written
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -36,6 +37,7 @@ def replacing(path: str | os.PathLike[str], reserved: bool = False) -> Iterator[
     try:
         _check(path)
         with (_own(part) if reserved else None) or fresh(part) as file:
+            unfinished.add(part)
             try:
                 yield file
                 file.flush()
@@ -44,6 +46,8 @@ def replacing(path: str | os.PathLike[str], reserved: bool = False) -> Iterator[
             except BaseException:
                 part.unlink(missing_ok=True)
                 raise
+            finally:
+                unfinished.discard(part)
         os.replace(part, path)
     except OSError as error:
         raise Unwritable(f"{path}: cannot be written: {reason(error)}") from error

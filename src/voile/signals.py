@@ -1,5 +1,6 @@
 """Signals that end a run."""
 
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -7,6 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
+from voile.files import unfinished
+
+INTERRUPTED = 130  # as shells say it of Ctrl-C
+STOPPED = "stopped by a signal"
 # What a user, a terminal that closes and a batch system's limits send. SIGUSR1 and SIGUSR2 mpirun hands on to its ranks
 # and then ends as they do; SIGTERM it takes for itself.
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGHUP, signal.SIGXCPU)
@@ -74,6 +79,20 @@ def noted() -> list[int]:
 def _outlived(number: int) -> bool:
     """Whether a run is to outlive this signal: nohup has the end of the terminal ignored."""
     return number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN
+
+
+def ends_at_once() -> None:
+    """From here on Ctrl-C ends the process where Python hears of it, without an exception on the way: VTK, which loads
+    as it draws, crashes where one comes out of what it has begun. Unfinished files go."""
+    if process.ends and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(_number: int, _frame: FrameType | None) -> None:
+    for part in unfinished:
+        part.unlink(missing_ok=True)
+    os.write(2, f"voile: {STOPPED}\n".encode())
+    os._exit(INTERRUPTED)
 
 
 @contextmanager

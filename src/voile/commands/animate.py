@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from voile.commands._result import folder
+from voile.signals import ends_at_once
 
 TEXT = "a film of a run over time or load: mp4, gif or webp"
 
@@ -21,6 +22,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Draws the frames, and prints the film's name."""
+    ends_at_once()
     from voile import api
     from voile.post.film import animate
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from voile.commands._result import folder
 from voile.errors import InputError
+from voile.signals import ends_at_once
 
 TEXT = "a shape as obj, ply, vtu or glb, a sewing pattern as svg, dxf or png"
 
@@ -27,6 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the file, and prints its name."""
+    ends_at_once()
     from voile.post.export import PATTERNS, export
 
     given = [f"output {path}" for path in (args.output, args.named) if path] + [f"--to {args.to}"] * bool(

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from voile.commands._result import folder
+from voile.signals import ends_at_once
 
 TEXT = "a PNG picture of a result"
 
@@ -31,6 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Draws, and prints the picture's name."""
+    ends_at_once()
     from voile import api
     from voile.post import render
 

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from voile.commands._result import folder
+from voile.signals import ends_at_once
 
 TEXT = "one self-contained page of a run: 3D view, plots, figures, pattern, notes"
 
@@ -20,6 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Writes the page, and prints what it leaves out and its name."""
+    ends_at_once()
     from voile.post.report import MEGABYTES, report
 
     size = MEGABYTES if args.size is None else args.size
