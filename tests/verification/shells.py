@@ -198,7 +198,7 @@ def annulus_refined(meshes=((3, 24), (6, 48), (12, 96))) -> list[Row]:
     for n in meshes:
         shell, inner, _ = slit_annulus(*n)
         name = f"{n[0]}x{n[1]} crossed"
-        rows.append(row("slit annulus, inner lift", name, solve(shell).u[inner, 2], ANNULUS_LIMIT[0]))
+        rows.append(row("slit annulus, inner lift", name, solve(shell, 2).u[inner, 2], ANNULUS_LIMIT[0]))
     return rows
 
 
