@@ -1,6 +1,8 @@
 """Voile from Python: scenes as files and dicts, meshes as arrays, results in memory, many runs in one process."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,8 @@ import pytest
 from test_cli import SCENE, cells
 
 import voile
+from voile.cli import main
+from voile.post.report import report
 
 LENGTH, THICKNESS, YOUNG, DENSITY, GRAVITY = 0.1, 1e-3, 1e7, 300.0, 0.1
 MOST_LEFT = (
@@ -71,6 +75,19 @@ def test_fields_that_are_not_stored_are_computed():
 
 
 # ---- the same as the command line ----
+
+
+def test_a_page_opens_with_colours_that_only_the_model_tells(tmp_path):
+    """--field of `voile report` takes what `render` takes, and what the page else leaves out."""
+    result, out = voile.run(cantilever(), tmp_path / "run"), tmp_path / "a.html"
+    for field in ("von_mises", "smooth_von_mises", "group"):
+        assert field not in result.point_fields + result.cell_fields or field == "group"
+        assert main(["report", str(tmp_path / "run"), "--field", field, "-o", str(out)]) == 0
+        data = re.search(r'id="page-data">(.*?)</script>', out.read_text(), re.S)
+        told = {shown["name"]: shown for shown in json.loads(data[1])["fields"]}
+        assert {"displacement", "strain", field} <= set(told)
+    assert "von_mises" not in told
+    assert report(result, out, field="von_mises").steps == (result.n_steps, result.n_steps)
 
 
 def test_a_file_gives_what_the_command_gives(tmp_path):

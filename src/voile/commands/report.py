@@ -22,12 +22,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Writes the page, and prints what it leaves out and its name."""
     ends_at_once()
+    from voile import api
     from voile.post.report import MEGABYTES, report
 
     size = MEGABYTES if args.size is None else args.size
-    made = report(
-        args.file, args.output or folder(args.file) / "report.html", field=args.field, megabytes=size
-    )
+    with api.read(args.file) as result:
+        made = report(
+            result, args.output or folder(args.file) / "report.html", field=args.field, megabytes=size
+        )
     for what, (shown, there) in (("steps", made.steps), ("vertices", made.vertices)):
         if shown < there:
             print(f"note: {shown} of {there} {what} in {size:g} MB; --size gives more room")

@@ -61,23 +61,26 @@ class Shown:
         return len(self.arrays) + len(json.dumps(self.meta, separators=(",", ":")))
 
 
-def shown(result: Result, room: float) -> Shown:
+def shown(result: Result, room: float, field: str | None = None) -> Shown:
     """The shapes in `room` bytes: every step on the whole mesh where they fit, else fewer steps, evenly spread, else
-    also fewer vertices. What is left may still be larger."""
+    also fewer vertices. What is left may still be larger. Colours: what the file tells, and `field`, which may have to
+    be computed."""
+    names = [name for name in available(result) if name not in HIDDEN]
+    names = [name for name in dict.fromkeys([*names, *filter(None, [field])]) if not swing.is_mode(name)]
     part = Part(np.arange(result.n_points), result.triangles, np.arange(result.n_cells))
     count = min(result.n_steps, FEW_STEPS)
-    page = _encode(result, part, count)
+    page = _encode(result, part, names, count)
     while page.size > room and len(part.vertices) > FEW_VERTICES:
         before = len(part.vertices)
         part = _thinned(result, part, ROOM * room / page.size)
         if len(part.vertices) > 0.98 * before:
             break
-        page = _encode(result, part, count)
+        page = _encode(result, part, names, count)
     for _ in range(GROWTHS):
         more = min(result.n_steps, int(ROOM * page.count * room / page.size))
         if more <= page.count:
             break
-        longer = _encode(result, part, more)
+        longer = _encode(result, part, names, more)
         if longer.size > room:
             break
         page = longer
@@ -105,7 +108,7 @@ def _decimated(points: Reals, triangles: Ints, share: float) -> tuple[Ints, Ints
     return np.asarray(thin["vertex"]), thin.regular_faces
 
 
-def _encode(result: Result, part: Part, count: int) -> Shown:
+def _encode(result: Result, part: Part, names: list[str], count: int) -> Shown:
     modes = swing.modes_of(result)
     steps = np.unique(np.linspace(0, result.n_steps - 1, count).round().astype(int))
     count, steps = len(steps), np.append(steps, np.full(len(modes), result.n_steps - 1))
@@ -114,7 +117,6 @@ def _encode(result: Result, part: Part, count: int) -> Shown:
     for k, mode in enumerate(modes, count):
         points[k] = swing.displaced(result, mode)
     flat, grid = places(points[:, part.vertices])
-    names = [name for name in available(result) if name not in HIDDEN and not swing.is_mode(name)]
     fields = [_field(result, part, name, steps, arrays) for name in names]
     if modes:
         fields.append(_mode_field(result, part, modes, count, arrays))
