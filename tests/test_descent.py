@@ -10,7 +10,7 @@ from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.solver.methods.descent import Descent, shorter
 from voile.solver.methods.method import Workspace
-from voile.solver.methods.steps import factor
+from voile.solver.methods.steps import factor_definite
 
 
 def hanging(cells: int):
@@ -39,7 +39,7 @@ def test_a_blend_holds_its_shares():
     y.array[:] = 1e-3 * np.random.default_rng(1).normal(size=y.getSize())
     matrices = []
     for kind, share in (("exact", 1.0), ("safe", 1.0), ("safe", 0.25)):
-        factor(work, problem, y, kind, share=share)
+        factor_definite(work, problem, y, kind, share=share)
         matrices.append(work.matrix.getValuesCSR()[2])
     exact, safe, blend = matrices
     assert abs(exact - safe).max() > 1e-6 * abs(safe).max()

@@ -17,7 +17,7 @@ from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.shell import Shell
 from voile.solver.methods.method import Workspace
-from voile.solver.methods.steps import factor
+from voile.solver.methods.steps import factor, factor_definite
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -126,7 +126,7 @@ def test_a_failed_factorisation_does_not_spoil_the_next():
     work = Workspace(problem)
     y, linear = problem.create_vector(), work.symmetric
     assert factor(work, problem, y, "exact").negative and not linear.usable
-    assert not factor(work, problem, y, "exact", 1.0).negative and linear.usable
+    assert not factor_definite(work, problem, y, "exact", 1.0).negative and linear.usable
     right, found = y.duplicate(), y.duplicate()
     right.set(1.0)
     linear.solve(right, found)

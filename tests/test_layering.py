@@ -24,7 +24,7 @@ ALLOWED = {
     "contact": {"_kernels", "_friction", "_projective", "keys", "mesh"},
     "scene": {"keys", "mesh", "elastic", "contact"},
     "problem": {"_kernels", "_petsc", "mesh", "elastic", "contact"},
-    "solver": {"_kernels", "_friction", "_projective", "mesh", "elastic", "contact", "problem"},
+    "solver": {"_kernels", "_friction", "_petsc", "_projective", "mesh", "elastic", "contact", "problem"},
     "inverse": {"_kernels", "mesh", "elastic", "contact", "problem", "solver"},
     "results": {"files", "mesh"},
     "post": {"files", "keys", "results"},

@@ -1,9 +1,10 @@
 #include "cholesky.hpp"
 
-#include <cholmod.h>
-
+#include <functional>
+#include <memory>
 #include <stdexcept>
-#include <string>
+
+#include "definite.hpp"
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
 #define VOILE_CLONES __attribute__((target_clones("default", "fma")))
@@ -73,46 +74,16 @@ VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
   for (int s = count - 1; s >= 0; --s) backward(nodes[s], x);
 }
 
-// CHOLMOD's objects, freed at the end.
-struct Workshop {
-  cholmod_common common;
-  cholmod_factor* factor = nullptr;
-  Workshop() { cholmod_start(&common); }
-  ~Workshop() {
-    cholmod_free_factor(&factor, &common);
-    cholmod_finish(&common);
-  }
-};
-
 }  // namespace
 
 Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
   Workshop shop;
-  cholmod_common& common = shop.common;
-  common.print = 0;
-  // The best of two orderings: the factor is made once and read many thousand times.
-  common.nmethods = 2;
-  common.method[0].ordering = CHOLMOD_AMD;
-  common.method[1].ordering = CHOLMOD_METIS;
-  common.supernodal = CHOLMOD_SUPERNODAL;
-  cholmod_sparse a{};
-  a.nrow = a.ncol = size;
-  a.nzmax = start[size];
-  a.p = const_cast<int32_t*>(start);
-  a.i = const_cast<int32_t*>(column);
-  a.x = const_cast<double*>(value);
-  a.stype = -1;  // reads one triangle
-  a.itype = CHOLMOD_INT;
-  a.xtype = CHOLMOD_REAL;
-  a.dtype = CHOLMOD_DOUBLE;
-  a.sorted = a.packed = 1;
-  shop.factor = cholmod_analyze(&a, &common);
-  if (shop.factor) cholmod_factorize(&a, shop.factor, &common);
-  if (!shop.factor || common.status < CHOLMOD_OK)
-    throw std::runtime_error("CHOLMOD failed with status " + std::to_string(common.status));
-  const cholmod_factor& f = *shop.factor;
-  if (common.status == CHOLMOD_NOT_POSDEF || f.minor < (size_t)size)
-    throw std::runtime_error("the matrix is not positive definite");
+  cholmod_sparse a = symmetric(size, start, column, value);
+  cholmod_factor* made = shop.analyse(a);
+  const std::unique_ptr<cholmod_factor, std::function<void(cholmod_factor*)>> owner(
+      made, [&](cholmod_factor* f) { cholmod_free_factor(&f, &shop.common); });
+  if (!shop.factorise(a, made)) throw std::runtime_error("the matrix is not positive definite");
+  const cholmod_factor& f = *made;
   const auto *super = static_cast<const int32_t*>(f.super), *at = static_cast<const int32_t*>(f.pi);
   const auto *places = static_cast<const int32_t*>(f.px), *index = static_cast<const int32_t*>(f.s);
   const auto* entry = static_cast<const double*>(f.x);

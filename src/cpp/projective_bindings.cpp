@@ -6,6 +6,7 @@
 
 #include "anderson.hpp"
 #include "cholesky.hpp"
+#include "definite.hpp"
 #include "projective.hpp"
 
 namespace nb = nanobind;
@@ -49,6 +50,27 @@ NB_MODULE(_projective, m) {
           },
           "b"_a)
       .def_prop_ro("nonzeros", &Cholesky::nonzeros);
+
+  nb::class_<Definite>(m, "Definite")
+      .def(
+          "__init__",
+          [](Definite* self, In<int32_t> start, In<int32_t> column) {
+            const int size = (int)start.size() - 1;
+            if (size < 1 || (size_t)start.data()[size] != column.size())
+              throw nb::value_error("Definite: rows of a sparse matrix expected");
+            new (self) Definite(size, start.data(), column.data());
+          },
+          "start"_a, "column"_a)
+      .def("factor",
+           [](Definite& self, In<double> value) {
+             return self.factor(sized(value, self.entries(), "value"));
+           },
+           "value"_a)
+      .def("solve",
+           [](Definite& self, In<double> b, Out<double> x) {
+             self.solve(sized(b, self.size(), "b"), sized(x, self.size(), "x"));
+           },
+           "b"_a, "x"_a);
 
   nb::class_<Memory>(m, "Memory")
       .def(nb::init<int, int>(), "size"_a, "depth"_a)

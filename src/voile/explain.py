@@ -103,7 +103,8 @@ def supports_move(shell: Shell) -> bool:
     return bool(shell.motion.any()) or any(motion.moves for _, motion in shell.moves)
 
 
-SYSTEMS = "systems by CG or GMRES with ILU(0), by MUMPS in steps where these do not converge"
+FACTORS = "CHOLMOD LL^T on one rank, MUMPS LDL^T on several and where that fails"
+SYSTEMS = "systems by CG or GMRES with ILU(0), by factors in steps where these do not converge"
 
 
 def _by_levels(scene: Scene, model: Model, unknowns: int) -> bool:
@@ -137,12 +138,12 @@ def _solver(scene: Scene, model: Model, by_levels: bool) -> str:
     if scene.statics.control == "arc-length":
         branch = f", onto the branch at bifurcation {scene.statics.branch}" if scene.statics.branch else ""
         end = f"to load factor {scene.statics.max_load_factor:g}{branch}"
-        return f"arc length with mixed Newton steps {end}, MUMPS LDL^T"
+        return f"arc length with mixed Newton steps {end}, {FACTORS}"
     if not (model.obstacles or scene.contact.self_contact):
-        systems = "CG with multigrid over coarser levels of the mesh" if by_levels else "MUMPS LDL^T"
+        systems = "CG with multigrid over coarser levels of the mesh" if by_levels else FACTORS
         return f"{search}Newton (mixed steps, then descent on the potential), {systems}"
     ways = "semismooth Newton (then augmented Lagrangian, then pseudo-time)"
-    return f"{search}{ways}, MUMPS LDL^T, LU where something slips"
+    return f"{search}{ways}, {FACTORS}, LU where something slips"
 
 
 def _nested(scene: Scene, model: Model) -> tuple[bool, str]:

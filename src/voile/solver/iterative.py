@@ -32,7 +32,7 @@ class Iterative(LinearSolver):
     """
 
     def __init__(self, direct: LinearSolver, counts: Counts, prefix: str, symmetric: bool):
-        super().__init__(direct.ksp, counts)
+        super().__init__(direct.indefinite.ksp, counts)
         self.symmetric = symmetric
         self.direct, self.tries, self._iterates, self.wanted = direct, False, False, 0.0
         self._given: tuple[PETSc.Mat, PETSc.Mat | None] | None = None

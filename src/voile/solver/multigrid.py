@@ -61,6 +61,7 @@ def with_levels(problem: Problem, direct: LinearSolver) -> LinearSolver:
     large = problem.unknowns > LARGE and not PETSc.Options().hasName("pc_type")
     if why or not (asked() or large):
         return direct
+    direct = direct.indefinite  # at this size two factors do not fit
     use_cholesky(direct.ksp.pc)
     if down := transfers(problem, COARSEST):
         return Multigrid(problem, direct, down)

@@ -23,7 +23,7 @@ from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.solver.linear import LinearSolver
 from voile.solver.methods.method import Nonlinear, Outcome, Workspace
-from voile.solver.methods.steps import Stall, Step, descent_direction, factor, limit, test
+from voile.solver.methods.steps import Stall, Step, descent_direction, factor_definite, limit, test
 
 _REASON = PETSc.SNES.ConvergedReason
 Hopeless = Callable[[PETSc.Vec], bool]
@@ -35,7 +35,7 @@ class Options:
     """iterations: a buckling cloth takes up to 300 from a flat start. sufficient: share of the predicted decrease
     that a step must reach (Armijo; Nocedal & Wright 2006). steep: share of the slope left after a whole step from
     which on a longer one is tried (their curvature condition). shortest: relative step length at which the search gives
-    up. patience: steps after which an indefinite exact Hessian is tried again at most; near the end it is what
+    up. patience: steps after which an indefinite exact Hessian is tried again; near the end it is what
     converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
     watchdog. far: share of the longest way of a vertex from which on one is held back where steps are short; the
     others go on as they did. shift: of the mass (1/s^2), always added: for a shell that nothing holds. stiffer: times
@@ -222,7 +222,7 @@ class Iteration:
                 break
             if not np.isfinite(there.norm):
                 break
-            linear = factor(self.work, problem, there.y, "mixed", self._shift())
+            linear = factor_definite(self.work, problem, there.y, "mixed", self._shift())
             if linear.usable and not linear.negative:
                 descent_direction(linear, there.residual, step)
             if linear.negative or not linear.usable:  # iterations find it only now
@@ -243,8 +243,7 @@ class Iteration:
                 slope = self._slope(self._factor(here.y, kind), here.residual, direction)
                 if slope is not None:
                     return True, slope
-            # One after the other passes zero.
-            self._wait = min((self.work.symmetric.negative or 2).bit_length(), self.options.patience)
+            self._wait = self.options.patience
         while True:
             slope = self._slope(self._factor(here.y, "safe"), here.residual, direction)
             if slope is not None or not (self._stiffen() or self._regularise()):
@@ -275,7 +274,7 @@ class Iteration:
 
     def _factor(self, y: PETSc.Vec, kind: str) -> LinearSolver:
         shift = self._shift()
-        linear = factor(self.work, self.problem, y, kind, shift, self._share)
+        linear = factor_definite(self.work, self.problem, y, kind, shift, self._share)
         if kind != "safe" and self._largest(shift) == 0.0:
             self.method.negative = linear.negative if kind == "exact" else None
         return linear

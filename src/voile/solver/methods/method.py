@@ -12,7 +12,7 @@ from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.state import State
 from voile.solver.iterative import Iterative
-from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, use_cholesky, use_lu
+from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, symmetric, use_lu
 
 LINEAR = 1e-10  # GMRES' tolerance; preconditioned by the symmetric part's factor it takes 3 to 5 iterations
 BLAMED = 10.0  # times round-off that a norm may be due to it
@@ -51,7 +51,7 @@ class Workspace:
     """What the methods of a run share: the tangent's matrix with its linear solvers, the counts, and who watches
     descents' iterates.
 
-    `symmetric` is LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
+    `symmetric` is LL^T or LDL^T of the tangent, without prefix in PETSc's options; `unsymmetric` LU, prefix friction_.
     """
 
     def __init__(self, problem: Problem, counts: Counts | None = None):
@@ -59,12 +59,9 @@ class Workspace:
         self.watch: Callable[[PETSc.Vec], None] | None = None
         self.matrix, self.counts = problem.create_matrix(), counts or Counts()
         set_defaults(DEFAULTS)
-        ksp = PETSc.KSP().create(comm=problem.comm)
-        ksp.setType(PETSc.KSP.Type.PREONLY if problem.conservative else PETSc.KSP.Type.GMRES)
-        ksp.setTolerances(rtol=LINEAR)
-        use_cholesky(ksp.pc)
-        ksp.setFromOptions()
-        self.symmetric = self._eased(LinearSolver(ksp, self.counts), "step_", problem.conservative)
+        kind = PETSc.KSP.Type.PREONLY if problem.conservative else PETSc.KSP.Type.GMRES
+        direct = symmetric(problem.comm, kind, LINEAR, self.counts)
+        self.symmetric = self._eased(direct, "step_", problem.conservative)
         self._unsymmetric: LinearSolver | None = None
 
     @property
@@ -145,7 +142,7 @@ class Nonlinear:
         set_defaults({f"{prefix}snes_divergence_tolerance": "-3"})
         snes.setType(PETSc.SNES.Type.PYTHON)
         snes.setPythonContext(iteration)
-        snes.setKSP(work.symmetric.ksp)
+        snes.setKSP(work.symmetric.indefinite.ksp)
         if work.monitor:
             snes.setMonitor(self._report)
 

@@ -52,11 +52,25 @@ class Skewed:
         self.problem.add_skew(x, y)
 
 
-def factor(
+def factor(work: Workspace, problem: Problem, y: PETSc.Vec, kind: str) -> LinearSolver:
+    """The tangent at y, factored. Systems are solved with its skew part, too, where loads have no potential."""
+    work.symmetric.factor(work.matrix, _assembled(work, problem, y, kind))
+    return work.symmetric
+
+
+def factor_definite(
     work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float | Reals = 0.0, share: float = 1.0
 ) -> LinearSolver:
-    """The tangent at y, with a multiple of the mass (1/s^2), factored; of a safe one that share, the rest exact.
-    Systems are solved with its skew part, too, where loads have no potential."""
+    """As `factor`, of a tangent that serves only if it is positive definite, with a multiple of the mass (1/s^2); of a
+    safe one that share, the rest exact."""
+    work.symmetric.factor_definite(work.matrix, _assembled(work, problem, y, kind, shift, share))
+    return work.symmetric
+
+
+def _assembled(
+    work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, shift: float | Reals = 0.0, share: float = 1.0
+) -> PETSc.Mat:
+    """The operator of systems with the tangent, which is left in the workspace's matrix."""
     matrix = work.matrix
     problem.tangent(y, matrix, kind, shift=shift)
     if kind == "safe" and share < 1.0:
@@ -68,11 +82,9 @@ def factor(
         same = matrix.getAttr("coupled") == coupled  # else it has grown
         matrix.axpy(share, safe, structure.SAME_NONZERO_PATTERN if same else structure.SUBSET_NONZERO_PATTERN)
         safe.destroy()
-    operator = matrix
-    if not problem.conservative:
-        operator = PETSc.Mat().createPython(matrix.getSizes(), Skewed(problem, matrix), matrix.comm)
-    work.symmetric.factor(matrix, operator)
-    return work.symmetric
+    if problem.conservative:
+        return matrix
+    return PETSc.Mat().createPython(matrix.getSizes(), Skewed(problem, matrix), matrix.comm)
 
 
 def descent_direction(linear: LinearSolver, residual: PETSc.Vec, direction: PETSc.Vec) -> float:

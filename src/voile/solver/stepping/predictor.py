@@ -64,8 +64,7 @@ def _steps(
     blocks, carried = _contacts(before, problem, y)
     rate.array[:] -= problem.layout.collect(problem.point(y).over_dofs(carried))
     before.tangent(y, work.matrix, "safe", blocks, slow_rate(problem))
-    work.symmetric.factor(work.matrix)
-    if work.symmetric.usable and not work.symmetric.negative:
+    if work.symmetric.factor_definite(work.matrix):
         descent_direction(work.symmetric, rate, step)
         yield step
 

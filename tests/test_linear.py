@@ -1,0 +1,108 @@
+"""Direct solvers of symmetric systems: which one factors what, and what they say of a matrix."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from voile import _projective
+from voile.solver.linear import Counts, LinearSolver, symmetric
+
+SIDE = 20
+
+
+def laplacian(shift: float = 0.0, side: int = SIDE) -> sp.csr_matrix:
+    """Of a square of side^2 points, less a multiple of the identity; at 20 the least are 0.045, twice 0.11."""
+    line = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (side, side))
+    plane = sp.kron(line, sp.identity(side)) + sp.kron(sp.identity(side), line)
+    return sp.csr_matrix(plane - shift * sp.identity(side**2))
+
+
+def petsc(matrix: sp.csr_matrix) -> PETSc.Mat:
+    made = PETSc.Mat().createAIJ(
+        matrix.shape, csr=(matrix.indptr, matrix.indices, matrix.data), comm=MPI.COMM_SELF
+    )
+    made.setAttr("coupled", 0)
+    return made
+
+
+def make() -> LinearSolver:
+    return symmetric(MPI.COMM_SELF, PETSc.KSP.Type.PREONLY, 1e-10, Counts())
+
+
+def error(solver: LinearSolver, matrix: sp.csr_matrix) -> float:
+    """Of a solve, relative."""
+    right = np.random.default_rng(1).normal(size=matrix.shape[0])
+    b, x = (PETSc.Vec().createWithArray(right.copy(), comm=MPI.COMM_SELF) for _ in range(2))
+    solver.solve(b, x)
+    return float(np.linalg.norm(matrix @ x.array - right) / np.linalg.norm(right))
+
+
+def test_one_solver_serves_definite_and_indefinite_matrices_in_turn():
+    solver = make()
+    matrix = petsc(laplacian())
+    for shift, negative in ((0.0, 0), (0.08, 1), (0.02, 0), (0.15, 3), (0.0, 0)):
+        now = laplacian(shift)
+        matrix.setValuesCSR(now.indptr, now.indices, now.data)
+        matrix.assemble()
+        assert solver.factor(matrix) and solver.negative == negative
+        assert error(solver, now) < 1e-11
+
+
+def test_what_serves_only_if_it_is_definite_is_factored_once():
+    solver, counts = make(), Counts()
+    solver.counts = counts
+    assert not solver.factor_definite(petsc(laplacian(0.08))) and not solver.usable
+    assert solver.negative is None and counts.factorisations == 1
+    assert solver.factor_definite(petsc(laplacian())) and solver.negative == 0 and counts.factorisations == 2
+    assert error(solver, laplacian()) < 1e-11
+
+
+def test_a_new_pattern_is_analysed_anew():
+    solver = make()
+    assert solver.factor_definite(petsc(laplacian()))
+    wide = sp.csr_matrix(laplacian() @ laplacian())
+    assert solver.factor_definite(petsc(wide)) and error(solver, wide) < 1e-10
+
+
+def test_cholmod_starts_no_threads():
+    """It would start four, whatever OMP_NUM_THREADS says, which wait for each other."""
+
+    def threads() -> str:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(line for line in lines if line.startswith("Threads"))
+
+    a, before = sp.csr_matrix(laplacian(side=40) @ laplacian(side=40)), threads()
+    factor = _projective.Definite(a.indptr, a.indices)
+    assert factor.factor(a.data) and threads() == before
+
+
+def test_rows_that_do_not_fit_are_refused():
+    a = laplacian()
+    with pytest.raises(ValueError, match="rows of a sparse matrix"):
+        _projective.Definite(a.indptr[:-1], a.indices)
+    factor = _projective.Definite(a.indptr, a.indices)
+    with pytest.raises(ValueError, match="value"):
+        factor.factor(a.data[1:])
+
+
+@pytest.mark.parametrize(
+    ("words", "which"),
+    [
+        ((), "Symmetric"),
+        (("-pc_factor_mat_solver_type", "mumps"), "LinearSolver"),
+        (("-ksp_view",), "Symmetric"),
+    ],
+)
+def test_an_option_that_chooses_a_solver_leaves_that_one_alone(words, which):
+    code = (
+        "import petsc4py, sys; petsc4py.init(sys.argv); from mpi4py import MPI; import voile.solver.linear as m; "
+        "print(type(m.symmetric(MPI.COMM_SELF, 'preonly', 1e-10, m.Counts())).__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == [which], done.stderr
