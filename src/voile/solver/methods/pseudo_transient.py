@@ -108,8 +108,10 @@ class WatchedTransient(PseudoTransient):
     watches = True
 
     def admits(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
-        was, now = problem.positions(problem.unknowns_of(before)), problem.time
-        return not leads_through(problem, was, now, problem.positions(y), self.options.astray)
+        was, now, here = problem.positions(problem.unknowns_of(before)), problem.time, problem.positions(y)
+        crosses = contact_of(problem).crosses(was, now, here, now)  # what is thinner than steps may sink
+        through = leads_through(problem, was, now, here, self.options.astray)
+        return not through and problem.everywhere(not crosses.any())
 
     def astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
         return Astray(problem, self.options.astray)
@@ -284,14 +286,13 @@ class _March:
     def _recall(self) -> Outcome | None:
         """An equilibrium whose slip is that of the whole load step, where there is one near: that of pseudo-time is
         measured from its own last step."""
-        contact, began = self.contact, self.start.history
+        began, found, history = self.start.history, self.problem.save(self.y), self.contact.history
         assert began is not None
-        found, history = contact.history.copy(), contact.history
         history.reference, history.time, history.layers = began.reference, began.time, began.layers
         again = attempt(self.method.semismooth, self.problem, self.y, self.tolerance)
-        if again.converged:
+        if again.converged and self.method.admits(self.problem, found, self.y):
             return again
-        contact.history = found
+        self.problem.restore(self.y, found)
         return None
 
 
