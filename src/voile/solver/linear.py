@@ -244,6 +244,7 @@ class Symmetric(LinearSolver):
         super().__init__(ksp, indefinite.counts)
         self._indefinite, self._cholesky = indefinite, Cholesky()
         self._definite = False  # the last matrix
+        self._doubtful = False  # the last one of `factor` was not: the next one mostly is not, either
         until_the_end(ksp).pc.setType(PETSc.PC.Type.PYTHON)
         ksp.pc.setPythonContext(self._cholesky)
 
@@ -254,9 +255,12 @@ class Symmetric(LinearSolver):
 
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """See LinearSolver."""
-        if not self.factor_definite(matrix, operator):
-            self.indefinite.factor(matrix, operator)
-            self.usable, self.negative = self.indefinite.usable, self.indefinite.negative
+        if not self._doubtful and self.factor_definite(matrix, operator):
+            return True
+        self._definite = False
+        self.usable = self.indefinite.factor(matrix, operator)
+        self.negative = self.indefinite.negative
+        self._doubtful = bool(self.negative)
         return self.usable
 
     def factor_definite(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
