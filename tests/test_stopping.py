@@ -62,6 +62,7 @@ LOADING = """
 import signal, sys
 from voile import cli
 from voile.commands import all_commands
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
 def told(args):
     try:
         signal.raise_signal(signal.SIGINT)
@@ -82,6 +83,7 @@ def test_a_signal_that_a_module_meets_while_it_is_loaded_is_one():
 DRAWN_TO = """
 import os, signal, sys
 from PIL import Image
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
 def save(*words, **more):
     try:
         signal.raise_signal(signal.SIGINT)
