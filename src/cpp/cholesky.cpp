@@ -1,7 +1,5 @@
 #include "cholesky.hpp"
 
-#include <functional>
-#include <memory>
 #include <stdexcept>
 
 #include "definite.hpp"
@@ -79,11 +77,9 @@ VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
 Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
   Workshop shop;
   cholmod_sparse a = symmetric(size, start, column, value);
-  cholmod_factor* made = shop.analyse(a);
-  const std::unique_ptr<cholmod_factor, std::function<void(cholmod_factor*)>> owner(
-      made, [&](cholmod_factor* f) { cholmod_free_factor(&f, &shop.common); });
-  if (!shop.factorise(a, made)) throw std::runtime_error("the matrix is not positive definite");
-  const cholmod_factor& f = *made;
+  shop.analyse(a);
+  if (!shop.factorise(a)) throw std::runtime_error("the matrix is not positive definite");
+  const cholmod_factor& f = *shop.factor;
   const auto *super = static_cast<const int32_t*>(f.super), *at = static_cast<const int32_t*>(f.pi);
   const auto *places = static_cast<const int32_t*>(f.px), *index = static_cast<const int32_t*>(f.s);
   const auto* entry = static_cast<const double*>(f.x);

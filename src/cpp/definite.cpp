@@ -41,16 +41,18 @@ Workshop::Workshop() {
   common.supernodal = CHOLMOD_SUPERNODAL;
 }
 
-Workshop::~Workshop() { cholmod_finish(&common); }
-
-cholmod_factor* Workshop::analyse(cholmod_sparse& matrix) {
-  const OneThread guard;
-  cholmod_factor* factor = cholmod_analyze(&matrix, &common);
-  if (!factor) fail(common.status);
-  return factor;
+Workshop::~Workshop() {
+  cholmod_free_factor(&factor, &common);
+  cholmod_finish(&common);
 }
 
-bool Workshop::factorise(cholmod_sparse& matrix, cholmod_factor* factor) {
+void Workshop::analyse(cholmod_sparse& matrix) {
+  const OneThread guard;
+  factor = cholmod_analyze(&matrix, &common);
+  if (!factor) fail(common.status);
+}
+
+bool Workshop::factorise(cholmod_sparse& matrix) {
   const OneThread guard;
   cholmod_factorize(&matrix, factor, &common);
   if (common.status < CHOLMOD_OK) fail(common.status);
@@ -75,22 +77,22 @@ cholmod_sparse symmetric(int size, const int32_t* start, const int32_t* column, 
 Definite::Definite(int size, const int32_t* start_, const int32_t* column_)
     : start(start_, start_ + size + 1), column(column_, column_ + start_[size]) {
   cholmod_sparse a = symmetric(size, start.data(), column.data(), nullptr);
-  made = shop.analyse(a);
+  shop.analyse(a);
 }
 
 Definite::~Definite() {
-  cholmod_free_factor(&made, &shop.common);
   for (cholmod_dense** each : {&result, &between, &beside}) cholmod_free_dense(each, &shop.common);
 }
 
 bool Definite::factor(const double* value) {
   cholmod_sparse a = symmetric(size(), start.data(), column.data(), value);
-  return shop.factorise(a, made);
+  return shop.factorise(a);
 }
 
 void Definite::solve(const double* b, double* x) {
   cholmod_dense right = dense(size(), b);
-  if (!cholmod_solve2(CHOLMOD_A, made, &right, nullptr, &result, nullptr, &between, &beside, &shop.common))
+  if (!cholmod_solve2(CHOLMOD_A, shop.factor, &right, nullptr, &result, nullptr, &between, &beside,
+                      &shop.common))
     fail(shop.common.status);
   std::memcpy(x, result->x, sizeof(double) * size());
 }

@@ -8,20 +8,21 @@
 
 namespace voile {
 
-// CHOLMOD's settings and what it owns, without messages. It runs its loops on four threads whatever OpenMP is
+// CHOLMOD's settings, without messages, and one factor. It runs its loops on four threads whatever OpenMP is
 // told; these only wait for each other at our sizes (2.7 times the time at 3,000 unknowns), so it gets one.
 class Workshop {
  public:
   cholmod_common common;
+  cholmod_factor* factor = nullptr;
   Workshop();
   ~Workshop();
   Workshop(const Workshop&) = delete;
   Workshop& operator=(const Workshop&) = delete;
 
   // The lower-cost of AMD's and METIS' orderings; supernodes. Throws std::runtime_error.
-  cholmod_factor* analyse(cholmod_sparse& matrix);
+  void analyse(cholmod_sparse& matrix);
   // Whether the matrix is positive definite. Throws std::runtime_error where anything else fails.
-  bool factorise(cholmod_sparse& matrix, cholmod_factor* factor);
+  bool factorise(cholmod_sparse& matrix);
 };
 
 // A symmetric matrix by rows, both triangles, columns ascending, as CHOLMOD reads it.
@@ -44,7 +45,6 @@ class Definite {
  private:
   Workshop shop;
   std::vector<int32_t> start, column;
-  cholmod_factor* made = nullptr;
   cholmod_dense *result = nullptr, *between = nullptr, *beside = nullptr;  // kept from solve to solve
 };
 

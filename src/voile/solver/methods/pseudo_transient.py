@@ -109,9 +109,10 @@ class WatchedTransient(PseudoTransient):
 
     def admits(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         was, now, here = problem.positions(problem.unknowns_of(before)), problem.time, problem.positions(y)
+        if leads_through(problem, was, now, here, self.options.astray):
+            return False
         crosses = contact_of(problem).crosses(was, now, here, now)  # what is thinner than steps may sink
-        through = leads_through(problem, was, now, here, self.options.astray)
-        return not through and problem.everywhere(not crosses.any())
+        return problem.everywhere(not crosses.any())
 
     def astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
         return Astray(problem, self.options.astray)
