@@ -61,16 +61,16 @@ NB_MODULE(_projective, m) {
             new (self) Definite(size, start.data(), column.data());
           },
           "start"_a, "column"_a)
-      .def("factor",
-           [](Definite& self, In<double> value) {
-             return self.factor(sized(value, self.entries(), "value"));
-           },
-           "value"_a)
-      .def("solve",
-           [](Definite& self, In<double> b, Out<double> x) {
-             self.solve(sized(b, self.size(), "b"), sized(x, self.size(), "x"));
-           },
-           "b"_a, "x"_a);
+      .def(
+          "factor",
+          [](Definite& self, In<double> value) { return self.factor(sized(value, self.entries(), "value")); },
+          "value"_a)
+      .def(
+          "solve",
+          [](Definite& self, In<double> b, Out<double> x) {
+            self.solve(sized(b, self.size(), "b"), sized(x, self.size(), "x"));
+          },
+          "b"_a, "x"_a);
 
   nb::class_<Memory>(m, "Memory")
       .def(nb::init<int, int>(), "size"_a, "depth"_a)
