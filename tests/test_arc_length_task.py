@@ -12,6 +12,7 @@ from roofs import hinged_roof, pinned_strip
 
 from voile.cli import main
 from voile.results import read_result, read_summary
+from voile.tasks.run import Steps
 
 ROOF = """
 [shell]
@@ -191,6 +192,24 @@ def test_a_path_that_does_not_end(scene, tmp_path, capsys):
     assert "max_steps = 5 steps ended at load factor" in capsys.readouterr().err
     with read_result(tmp_path / "out") as result:
         assert 5 <= result.n_steps <= 6
+
+
+@pytest.mark.parametrize("why", ["max_steps = 14 steps ended", "stopped by a signal"])
+def test_a_stopped_path_tells_the_limit_points_before(scene, tmp_path, capsys, monkeypatch, why):
+    if "signal" in why:
+        whole = Steps.__call__
+
+        def told(self, step, y):
+            whole(self, step, y)
+            if step.factor < 0.3 and self.reached > 10:
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(Steps, "__call__", told)
+    assert run(scene(THICK), "--set", f"statics.max_steps={14 if 'max' in why else 1000}") == 3
+    assert why in capsys.readouterr().err
+    summary = read_summary(tmp_path / "out" / "summary.json")
+    (top,) = summary["limit_points"]
+    assert 0.6 < top["load_factor"] < 1.0 and top["displacement"] > 5.0 and summary["bifurcations"] == []
 
 
 @pytest.mark.parametrize(

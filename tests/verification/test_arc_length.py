@@ -22,6 +22,11 @@ from voile.solver.stepping.arc_length import solve_arc
 from voile.validate.shells import mapped
 
 
+def critical(path):
+    """Its limit points and bifurcations."""
+    return path.found_by("limit point", "bifurcation")
+
+
 class Curve:
     """A path to the full load: load factors and displacements (steps, 3) of some vertices; `found` what is critical."""
 
@@ -35,13 +40,14 @@ class Curve:
             moved.append(problem.local(y)[0].reshape(-1, 3)[places])
 
         options = StaticsOptions(load_steps=load_steps)
-        self.path, self.found = solve_arc(problem, options, 1.0, branch, note)
+        self.path = solve_arc(problem, options, 1.0, branch, note)
+        self.found = critical(self.path)
         require(self.path)
         self.factors, self.moved = np.array(factors), np.array(moved)
 
     def limits(self):
         """Load factors and displacements along the load."""
-        found = [(c.factor, c.displacement) for c in self.found if c.kind == "limit point"]
+        found = [(c.factor, c.displacement) for c in self.found if c.method == "limit point"]
         return np.array(found).reshape(-1, 2)
 
 
@@ -61,7 +67,7 @@ def test_hinged_roof(thickness, load, displacement, finest):
         shell, middle = roofs.hinged_roof(n, n, thickness, 3000.0)
         curve = Curve(shell, [middle])
         limits.append(curve.limits()[:, 0] * 3000.0)
-        assert [c.kind for c in curve.found] == ["limit point", "limit point"]
+        assert [c.method for c in curve.found] == ["limit point", "limit point"]
     assert abs(limits[-1][0] / load - 1.0) < 0.005
     assert abs(curve.limits()[0, 1] / displacement - 1.0) < 0.06  # the top is flat
     # order 2 in the mesh: differences fall fourfold
@@ -112,10 +118,10 @@ def test_dome_under_pressure():
     found = []
     for size in (0.14, 0.07):
         shell = roofs.clamped_dome(size, 1.5)
-        path, critical = solve_arc(Problem(shell, MPI.COMM_SELF), StaticsOptions(), 1.0, 0)
+        path = solve_arc(Problem(shell, MPI.COMM_SELF), StaticsOptions(), 1.0, 0)
         require(path)
-        found.append([1.5 * c.factor for c in critical])
-        assert [c.kind for c in critical] == ["limit point", "limit point"]
+        found.append([1.5 * c.factor for c in critical(path)])
+        assert [c.method for c in critical(path)] == ["limit point", "limit point"]
     error = np.abs(np.array(found) / [top, bottom] - 1.0)
     assert error[-1].max() < 0.004
     assert (error[0] > 2.0 * error[-1]).all()
@@ -134,9 +140,9 @@ def test_dome_under_pressure_as_published(lam, poisson, kind, published, bound, 
     off = []
     for size in sizes:
         problem = Problem(roofs.clamped_dome(size, 1.0, lam, poisson), MPI.COMM_SELF)
-        _, critical = solve_arc(problem, StaticsOptions(), 0.85, 0)
-        assert critical[0].kind == kind
-        off.append(abs(critical[0].factor / published - 1.0))
+        first = critical(solve_arc(problem, StaticsOptions(), 0.85, 0))[0]
+        assert first.method == kind
+        off.append(abs(first.factor / published - 1.0))
     assert off[1] < bound and off[1] < 0.7 * off[0]
 
 
@@ -186,9 +192,10 @@ def test_the_toggle_comes_down_on_a_rod():
         radius=0.5,
     )
     on_rod = with_obstacles(Problem(shell, MPI.COMM_SELF), [rod], 0.0)
-    path, found = solve_arc(on_rod, StaticsOptions(load_steps=20), 1.0, 0)
+    path = solve_arc(on_rod, StaticsOptions(load_steps=20), 1.0, 0)
+    found = critical(path)
     require(path)
-    assert [c.kind for c in found] == ["limit point", "limit point"]
+    assert [c.method for c in found] == ["limit point", "limit point"]
     assert load * found[0].factor == pytest.approx(free.limits()[0, 0] * 40.0, rel=1e-6)
     assert load * found[1].factor == pytest.approx(carried, rel=1e-3)
     taken = 2.0 * contact_fields(on_rod, path.state)["reaction"][:, 2].sum()
@@ -200,7 +207,7 @@ def test_a_column_bifurcates_onto_its_elastica(n):
     shell = roofs.pinned_strip(n, 1.2)
     straight = Curve(shell, [])
     (point,) = straight.found
-    assert point.kind == "bifurcation" and abs(1.2 * point.factor - 1.0) < 2.2 / n**2
+    assert point.method == "bifurcation" and abs(1.2 * point.factor - 1.0) < 2.2 / n**2
     assert straight.path.steps[-1].negative == 1 and straight.path.stable is False
     middle = int(np.flatnonzero(np.abs(shell.points[:, 0] - 0.5) < 1e-9)[0])
     bent = Curve(shell, [middle], load_steps=200, branch=1)
@@ -218,8 +225,9 @@ def test_a_strip_on_edge_buckles_sideways():
     shell, _ = standing_strip(load, width, 40, 4)
     linear = own_weight(width, 50.0, 40, 4, 0.0) / (12.85376 * np.sqrt(2.0))
     problem = Problem(shell, MPI.COMM_SELF)
-    path, (point,) = solve_arc(problem, StaticsOptions(), 1.0, 1)
-    assert require(path).stable and point.kind == "bifurcation"
+    path = solve_arc(problem, StaticsOptions(), 1.0, 1)
+    (point,) = critical(path)
+    assert require(path).stable and point.method == "bifurcation"
     assert abs(load * point.factor / linear - 1.0) < 0.003
     leaning = np.abs(problem.local(path.state)[0])
     other = Problem(shell, MPI.COMM_SELF)

@@ -13,6 +13,7 @@ from voile.problem.scales import force_floor
 from voile.problem.state import State
 from voile.solver.linear import Counts
 
+LIMIT_POINT, BIFURCATION = "limit point", "bifurcation"  # methods of steps that are one
 STEPS = 10  # of the load, where supports or moving obstacles lead the shell
 
 
@@ -97,6 +98,10 @@ class Path:
     def methods(self) -> list[str]:
         """Which found each step."""
         return [step.method for step in self.steps]
+
+    def found_by(self, *methods: str) -> list[LoadStep]:
+        """The steps that these methods found."""
+        return [step for step in self.steps if step.method in methods]
 
     @property
     def newton_iterations(self) -> int:

@@ -51,7 +51,8 @@ NO_CONTACT = {"active": 0, "stick": 0, "slip": 0, "max_penetration": 0.0, "frict
 class Run:
     """A scene on its way to results in `folder`; model: the scene's, on rank 0; began: time.perf_counter() at start;
     resumes: goes on from the results there; lasting: all ranks see the folder, and a later run may go on from it;
-    restarts: what it keeps for that; found: what it goes on from itself, nothing at a start."""
+    restarts: what it keeps for that; found: what it goes on from itself, nothing at a start; so_far: figures that also
+    the summary of a stopped run has."""
 
     scene: Scene
     model: Model | None
@@ -64,6 +65,7 @@ class Run:
     lasting: bool = True
     stored: bool = False  # whether the folder's result is this run's
     found: dict[str, Array] = field(default_factory=dict)
+    so_far: Callable[[], dict[str, Any]] = dict
     restarts: Restarts = field(init=False)
 
     def __post_init__(self) -> None:
@@ -232,9 +234,9 @@ class Run:
         self._tell(summary)
 
     def refuse(self, reason: str) -> None:
-        """summary.json of a run that ended before anything was in equilibrium."""
+        """summary.json of a run that was stopped, or found nothing in equilibrium."""
         if self.model:
-            self._tell({"converged": False, "reason": reason, **self._about()})
+            self._tell({"converged": False, "reason": reason, **self._about(), **self.so_far()})
 
     def _tell(self, summary: dict[str, Any]) -> None:
         """Writes summary.json; an earlier run's result must not be beside it."""

@@ -7,7 +7,7 @@ from voile.errors import InputError
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.scene import Scene
-from voile.solver.path import Path, StaticsOptions
+from voile.solver.path import BIFURCATION, LIMIT_POINT, Path, StaticsOptions
 from voile.solver.statics import solve_statics
 from voile.solver.stepping.arc_length import solve_arc
 from voile.tasks.run import Run, Steps
@@ -35,23 +35,29 @@ def _along_the_arc(job: Run, shell: Shell | None, problem: Problem, options: Sta
         raise InputError(
             f'{job.scene.path}: statics.control = "arc-length" without a load; allowed: with [loads]'
         )
+    path = Path(state=problem.create_vector())
+    job.so_far = lambda: _critical(path)
     with job.results(job.mesh(shell, problem.directors), numbered=True) as writer:
         steps = Steps(job, problem, writer, s.max_load_factor)
-        path, critical = solve_arc(
-            problem, options, s.max_load_factor, s.branch, steps, steps.pause, job.found
-        )
+        solve_arc(problem, options, s.max_load_factor, s.branch, steps, steps.pause, job.found, path)
         steps.finish(path)
-    told: dict[str, list[Any]] = {"limit point": [], "bifurcation": []}
-    for point in critical:
-        told[point.kind].append({"load_factor": point.factor, "displacement": point.displacement})
-    bifurcations = told["bifurcation"]
-    if path.converged and s.branch > len(bifurcations):
-        many = f"{len(bifurcations)} bifurcation" + "s" * (len(bifurcations) != 1)
+    bifurcations = len(path.found_by(BIFURCATION))
+    if path.converged and s.branch > bifurcations:
+        many = f"{bifurcations} bifurcation" + "s" * (bifurcations != 1)
         path.converged, path.reason = False, f"statics.branch = {s.branch}: {many} on the path"
     _tell(job, path)
-    more: dict[str, Any] = {"limit_points": told["limit point"], "bifurcations": bifurcations}
-    job.summarise(problem, path, **job.forces(problem, path), **more)
+    job.summarise(problem, path, **job.forces(problem, path), **_critical(path))
     return "" if path.converged else path.reason
+
+
+def _critical(path: Path) -> dict[str, Any]:
+    """The summary's limit points and bifurcations of a path."""
+    return {
+        f"{kind.replace(' ', '_')}s": [
+            {"load_factor": step.factor, "displacement": step.displacement} for step in path.found_by(kind)
+        ]
+        for kind in (LIMIT_POINT, BIFURCATION)
+    }
 
 
 def options_of(scene: Scene) -> StaticsOptions:

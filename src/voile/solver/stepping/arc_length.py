@@ -4,7 +4,7 @@ A limit point is where the load factor's slope changes its sign; a bifurcation w
 otherwise. Either lies between two points of the path, and is closed in by equilibria between them.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,17 @@ from voile.problem.contact import contact_report
 from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.solver.methods.method import Workspace
-from voile.solver.path import STEPS, Arrays, LoadStep, Path, Pause, Progress, StaticsOptions
+from voile.solver.path import (
+    BIFURCATION,
+    LIMIT_POINT,
+    STEPS,
+    Arrays,
+    LoadStep,
+    Path,
+    Pause,
+    Progress,
+    StaticsOptions,
+)
 from voile.solver.stepping.arc import Arc, PathPoint
 from voile.solver.stepping.restart import packed_path, packed_state, unpacked_path, unpacked_state
 
@@ -38,15 +48,6 @@ class Options:
     halvings: int = 8
 
 
-@dataclass
-class Critical:
-    """A limit point or a bifurcation: its kind, load factor, displacement along the load (m)."""
-
-    kind: str
-    factor: float
-    displacement: float
-
-
 def solve_arc(
     problem: Problem,
     options: StaticsOptions,
@@ -55,25 +56,25 @@ def solve_arc(
     on_step: Progress | None = None,
     on_pause: Pause | None = None,
     found: Arrays | None = None,
-) -> tuple[Path, list[Critical]]:
+    path: Path | None = None,
+) -> Path:
     """Follows the path of a problem on which nothing moves or rubs from the unloaded shell until the load factor is
     `most`, or minus that. branch: leaves it at that bifurcation, counted from 1; 0: at none. on_step, on_pause and
-    found as of `solve_statics`. Does not raise for lack of convergence; see Path."""
-    run = ArcPath(problem, options, most, branch)
+    found as of `solve_statics`; path: without steps, filled with them. Does not raise for lack of convergence; see
+    Path."""
+    run = ArcPath(problem, options, most, branch, path or Path(state=problem.create_vector()))
     run.follow(on_step, on_pause, found)
-    return run.path, run.found
+    return run.path
 
 
 class ArcPath:
-    """The path; `found` its limit points and bifurcations in their order."""
+    """The path."""
 
-    def __init__(self, problem: Problem, options: StaticsOptions, most: float, branch: int):
-        self.problem, self.asked, self.most, self.branch = problem, options, most, branch
-        self.options, self.found = Options(), list[Critical]()
-        start = problem.create_vector()
-        work = Workspace(problem)
-        self.arc = Arc(problem, work, options.tolerance * problem.load_norm(start))
-        self.path = Path(state=start, counts=work.counts)
+    def __init__(self, problem: Problem, options: StaticsOptions, most: float, branch: int, path: Path):
+        self.problem, self.asked, self.most, self.branch, self.path = problem, options, most, branch, path
+        self.options, work = Options(), Workspace(problem)
+        self.arc = Arc(problem, work, options.tolerance * problem.load_norm(path.state))
+        path.counts = work.counts
         self.cap = most / (options.load_steps or STEPS)  # change of the load factor in a step
         self.on_step: Progress | None = None
         self.on_pause: Pause | None = None
@@ -113,7 +114,6 @@ class ArcPath:
             self.path,
             place=point | {"reason": here.reason, "slope": here.slope, "negative": here.negative},
             lengths=[self.first, self.length, self.arc.psi],
-            critical=[asdict(point) for point in self.found],
         )
         return said | packed_state(here.state) | {"direction": here.direction.array_r.copy()}
 
@@ -123,7 +123,6 @@ class ArcPath:
         said, direction = unpacked_path(found, self.path), problem.create_vector()
         direction.array[:] = found["direction"]
         self.first, self.length, self.arc.psi = said["lengths"]
-        self.found += [Critical(**point) for point in said["critical"]]
         state = unpacked_state(problem, found, said["place"]["factor"])
         here = PathPoint(state, direction=direction, **said["place"])
         return here if self.arc.aim(here, direction, here.slope) else None
@@ -229,14 +228,13 @@ class ArcPath:
         events = []
         turns = a.slope * b.slope < 0.0
         if turns:
-            events.append(("limit point", self._limit(a, b)))
+            events.append((LIMIT_POINT, self._limit(a, b)))
         if self._changed(a, b):
-            events.append(("bifurcation", self._bifurcation(a, b)))
+            events.append((BIFURCATION, self._bifurcation(a, b)))
         events.sort(key=lambda event: self.arc.along(a, event[1]))
         for kind, point in events:
-            self.found.append(Critical(kind, point.factor, self.arc.along_load(point)))
             self._keep(point, kind)
-            if kind == "bifurcation" and self.branch == sum(c.kind == kind for c in self.found):
+            if kind == BIFURCATION and self.branch == len(self.path.found_by(kind)):
                 return self._leave(point)
         return None
 
