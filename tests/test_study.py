@@ -1,11 +1,32 @@
 """`voile study` through the command line: known rates, lists, and refusals."""
 
+import h5py
+import numpy as np
 import pytest
 from command_line import refused, voile
 from mesh_helpers import generator
 from studies import HEAD, POINT, THREE, TIP, done, place, table
 
 from voile.mesh import write_obj
+from voile.solver.friction import solve_friction
+from voile.validate.protocols.friction_problems import OWN
+
+PROBLEM = """
+[study]
+scene = "p.h5"
+measure = ["normal_force", "friction_force", "open", "stick", "slip"]
+reference = { tolerance = 1e-12 }
+repeats = 1
+[vary]
+tolerance = [1e-2, 1e-5]
+"""
+
+
+def write_rows(path, W, q, mu):
+    with h5py.File(path, "w") as file:
+        for name in ("data", "indices", "indptr"):
+            file[f"W/{name}"] = getattr(W, name)
+        file["W/shape"], file["q"], file["mu"] = np.array(W.shape), q, mu
 
 
 @pytest.fixture
@@ -238,3 +259,40 @@ def test_other_bad_input(study, tmp_path):
     refused(voile("study", path, "-o", tmp_path / "file"), "cannot be written: Not a directory")
     (tmp_path / "scene.toml").unlink()
     refused(voile("study", path, "-o", tmp_path / "out"), "scene.toml: no such file")
+
+
+def test_a_friction_problem_over_its_tolerance(tmp_path):
+    """The finest run is the reference; only the solver's own seconds count."""
+    for name, problem in OWN.items():
+        write_rows(tmp_path / "p.h5", *problem)
+        (tmp_path / "study.toml").write_text(PROBLEM)
+        report = done(tmp_path / "study.toml", tmp_path / name)
+        *rows, reference = report["runs"]
+        contacts = len(problem.mu)
+        assert reference["dofs"] == 3 * contacts
+        assert sum(reference["values"][state] for state in ("open", "stick", "slip")) == contacts
+        r, _ = solve_friction(*problem, tol=1e-12)
+        assert reference["values"]["normal_force"] == pytest.approx(r[::3].sum(), rel=1e-9)
+        for row in rows:
+            assert row["changes"] == {"iteration": ["tolerance"]}
+            assert row["wall_seconds"] < 0.1
+        assert rows[1]["trusted_error"] < 1e-3 and rows[0]["trusted_error"] >= rows[1]["trusted_error"]
+        assert report["pareto"] and report["recommended"][0]["run"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("normal_force", "tip", 'no friction problem has "tip"; allowed: normal_force'),
+        ("tolerance = [1e-2", '"shell.young" = [1.0', "p.h5 has no shell.young; allowed: tolerance"),
+        ("[1e-2", "[0.0", "vary.tolerance: 0.0 is not allowed"),
+        ("p.h5", "scene.toml", "scene.toml has no tolerance; allowed: keys of scenes"),
+        ("[vary]", f"{POINT}[vary]", "a friction problem has no points"),
+    ],
+)
+def test_what_friction_problems_have_not(study, tmp_path, old, new, message):
+    write_rows(tmp_path / "p.h5", *OWN["block that slides"])
+    spec = PROBLEM.replace(old, new)
+    if "scene.toml" in new:
+        spec = spec.replace('["normal_force", "friction_force", "open", "stick", "slip"]', '"energy"')
+    refused(voile("study", study(spec), "-o", tmp_path / "out"), message)

@@ -32,21 +32,31 @@ def run(args: argparse.Namespace) -> None:
     if args.output:
         prove(args.output)
     failure = None
-    began = time.perf_counter()
+    began, before = time.perf_counter(), time.process_time()
     try:
         r, info = solve_friction(W, q, mu, args.tolerance)
     except FrictionNotConverged as error:
         failure, r, info = error, error.reaction, error.info
     except InputError as error:
         raise InputError(f"{args.problem}: {error}") from error
-    milliseconds = 1e3 * (time.perf_counter() - began)
+    seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - before
     states = contact_states(W, q, mu, r)
     if args.output:
-        write_solution(args.output, args.problem, problem, r, states, info, converged=failure is None)
+        write_solution(
+            args.output,
+            args.problem,
+            problem,
+            r,
+            states,
+            info,
+            converged=failure is None,
+            seconds=seconds,
+            cpu_seconds=cpu_seconds,
+        )
     print(
         f"{args.problem}: {len(mu)} contacts, error {info.error:.2e}, {info.method}\n"
         f"{info.iterations} iterations, {info.factorisations} factorisations, {info.proximal_steps} proximal steps, "
-        f"{milliseconds:.1f} ms\n"
+        f"{1e3 * seconds:.1f} ms\n"
         + ", ".join(f"{(states == k).sum()} {name}" for k, name in enumerate(("open", "stick", "slip")))
     )
     if failure:

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from voile.arrays import Array, Ints, Reals
 from voile.errors import InputError
 from voile.files import replace
-from voile.results.checks import member, open_file
+from voile.results.checks import intact, member, open_file
 
 
 class FrictionProblem(NamedTuple):
@@ -25,6 +25,17 @@ class FrictionProblem(NamedTuple):
     W: sp.csr_matrix
     q: Reals
     mu: Reals
+
+
+class FrictionSolution(NamedTuple):
+    """What `write_solution` wrote: r (c, 3) N, state (c,), the numbers of its attributes."""
+
+    r: Reals
+    state: Ints
+    error: float
+    iterations: int
+    seconds: float
+    cpu_seconds: float
 
 
 def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
@@ -117,10 +128,12 @@ def write_solution(
     info: Any,
     *,
     converged: bool,
+    seconds: float,
+    cpu_seconds: float,
 ) -> None:
     """Group `solution` as FCLIB names it (r, u), with mu, state (0 open, 1 stick, 2 slip) and the error's history; the
-    problem's file, the error and the numbers of `info` as its attributes. Raises InputError where it cannot be
-    written."""
+    problem's file, the error, the numbers of `info` and the seconds it took, on the wall and of the processor, as its
+    attributes. Raises InputError where it cannot be written."""
     with h5py.File(
         path.name, "w", driver="core", backing_store=False
     ) as file:  # HDF5 does not survive a full disk
@@ -129,8 +142,26 @@ def write_solution(
         group["mu"], group["state"], group["history"] = problem.mu, states, info.history
         group.attrs["problem"] = str(source.resolve())
         group.attrs["converged"] = converged
+        group.attrs["seconds"], group.attrs["cpu_seconds"] = seconds, cpu_seconds
         for name in ("error", "iterations", "factorisations", "proximal_steps", "method"):
             group.attrs[name] = getattr(info, name)
         file.flush()
         image = file.id.get_file_image()
     replace(path, image)
+
+
+def read_solution(path: Path) -> FrictionSolution:
+    """That of `write_solution`. Raises InputError where there is none."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    with intact(path), open_file(path) as file:
+        group = member(path, file, "solution")
+        told = group.attrs
+        return FrictionSolution(
+            _values(group, "r").reshape(-1, 3),
+            _values(group, "state"),
+            float(told["error"]),
+            int(told["iterations"]),
+            float(told["seconds"]),
+            float(told["cpu_seconds"]),
+        )

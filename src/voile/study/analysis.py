@@ -5,6 +5,7 @@ from typing import Any
 
 from voile.study.execute import CONVERGED, Record
 from voile.study.plan import Plan, Run, changed
+from voile.study.problems import Problem
 from voile.study.schema import Known
 from voile.study.series import (
     ENDS,
@@ -119,10 +120,12 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     for k, others in better(plan.runs, records).items():
         errors = [error for j in (k, *others) if (error := rows[j].error) is not None]
         rows[k].trusted = max(errors) if rows[k].error is not None else None
-    front = _front(rows)
+    solved = isinstance(plan.runs[origin].scene, Problem)  # only the solver's own seconds count
+    scatter = 0.0 if solved else SCATTER
+    front = _front(rows, scatter)
     for row in front:
         row.front = True
-    choices = [_choice(accuracy, rows) for accuracy in plan.study.study.accuracy]
+    choices = [_choice(accuracy, rows, scatter) for accuracy in plan.study.study.accuracy]
     guesses = [name for name in references if about.startswith(LIMIT) and _far(plan, series, name, origin)]
     return Findings(plan, rows, references, guesses, about, series, front, choices)
 
@@ -251,19 +254,20 @@ def _rated(rows: list[Row]) -> list[tuple[Row, float, float]]:
     return [(r, e, r.seconds) for r in rows if (e := r.counted) is not None and r.seconds is not None]
 
 
-def _alike(seconds: float, others: float) -> bool:
+def _alike(seconds: float, others: float, scatter: float) -> bool:
     """Whether seconds are not clearly more than others."""
-    return seconds <= ALIKE * others + SCATTER
+    return seconds <= ALIKE * others + scatter
 
 
-def _front(rows: list[Row]) -> list[Row]:
+def _front(rows: list[Row], scatter: float) -> list[Row]:
     """Rows of which none is more exact in as many seconds or fewer (alike counts as as many), fastest first."""
     rated = _rated(rows)
 
     def beats(other: tuple[Row, float, float], row: Row, error: float, seconds: float) -> bool:
         better, same = other[1] < error * (1.0 - SAME), other[1] <= error * (1.0 + SAME)
         return other[0] is not row and (
-            (better and _alike(other[2], seconds)) or (same and not _alike(seconds, other[2]))
+            (better and _alike(other[2], seconds, scatter))
+            or (same and not _alike(seconds, other[2], scatter))
         )
 
     kept = [
@@ -274,13 +278,13 @@ def _front(rows: list[Row]) -> list[Row]:
     return [row for _, row in sorted(kept, key=lambda pair: pair[0])]
 
 
-def _choice(accuracy: float, rows: list[Row]) -> Choice:
+def _choice(accuracy: float, rows: list[Row], scatter: float) -> Choice:
     """The most exact of the fastest rows that meet an accuracy, not by chance, and its neighbours in one setting."""
     good = [(row, error, seconds) for row, error, seconds in _rated(rows) if error <= accuracy]
     if not good:
         return Choice(accuracy, None)
     fastest = min(seconds for _, _, seconds in good)
-    chosen = min((g for g in good if _alike(g[2], fastest)), key=lambda g: g[1])[0]
+    chosen = min((g for g in good if _alike(g[2], fastest, scatter)), key=lambda g: g[1])[0]
     others = []
     for name in chosen.run.effective:
         for row, _, _ in _rated(rows):

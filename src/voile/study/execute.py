@@ -16,10 +16,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from voile.errors import InputError, NotConverged
 from voile.files import fresh, lockable, made, replace
 from voile.results import read_summary
+from voile.study import problems
 from voile.study.measures import Measure, values
 from voile.study.plan import Plan, Run
 from voile.study.settings import overrides
@@ -96,7 +98,7 @@ class Runs:
     def _measured(self, run: Run, found: Record) -> Record | None:
         """A record with the values that the study now asks for, from the results that are there."""
         try:
-            summary = read_summary(self.folder(run) / "summary.json")
+            summary = summary_of(self.folder(run))
             assert run.scene is not None
             found.values = values(self.plan.measures, run.scene, self.folder(run), summary)
         except InputError:
@@ -195,7 +197,7 @@ class Runs:
         status = SLOW if late else STATUS.get(code, FAILED)
         found = Record(run.key, status, "", seconds=seconds, cpu_seconds=cpu)
         try:
-            summary = read_summary(folder / "summary.json")
+            summary = summary_of(folder)
         except InputError:
             summary = {}
         if status == SLOW:
@@ -209,6 +211,7 @@ class Runs:
         found.seconds = summary.get("wall_time_s", {}).get("total", seconds)
         found.memory_mib, found.dofs = summary.get("peak_memory_mib"), summary.get("dofs")
         found.iterations = summary.get("newton_iterations")
+        found.cpu_seconds = summary.get("cpu_seconds", cpu)
         if status == CONVERGED and run.scene:
             found.values = values(self.plan.measures, run.scene, folder, summary)
         return found
@@ -242,10 +245,19 @@ def _locked(file: int) -> bool:
 
 def command(plan: Plan, run: Run, folder: Path) -> list[str]:
     """What runs a run."""
-    words = [sys.executable, "-m", "voile.cli", "run", str(plan.scene.resolve()), "-o", str(folder.resolve())]
+    words = [sys.executable, "-m", "voile.cli"]
+    if isinstance(run.scene, problems.Problem):
+        return words + problems.command(run.scene, folder)
+    words += ["run", str(plan.scene.resolve()), "-o", str(folder.resolve())]
     for text in overrides(run.settings):
         words += ["--set", text]
     return [*launcher(plan.study.study.launcher, run.ranks), *words]
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """The figures of the run in a folder. Raises InputError where there are none."""
+    solved = (folder / problems.SOLUTION).is_file()
+    return problems.figures(folder) if solved else read_summary(folder / "summary.json")
 
 
 def launcher(given: str, ranks: int) -> list[str]:
@@ -302,7 +314,7 @@ def missing(measures: tuple[Measure, ...], records: list[Record]) -> list[str]:
 def figures_of(runs: Runs, records: list[Record]) -> list[str]:
     """Dotted names of the numbers in the summary of the first run that converged."""
     run = next(run for run, record in zip(runs.plan.runs, records, strict=True) if record.status == CONVERGED)
-    return sorted(_numbers(read_summary(runs.folder(run) / "summary.json"), ""))
+    return sorted(_numbers(summary_of(runs.folder(run)), ""))
 
 
 def _numbers(node: object, name: str) -> Iterator[str]:

@@ -14,6 +14,8 @@ from voile.mesh import Surface, build_topology, read_mesh, refine, select, surfa
 from voile.results import read_result
 from voile.scene import Scene
 from voile.scene.reader import KeyPath
+from voile.study.problems import FIGURES as OF_PROBLEMS
+from voile.study.problems import Problem
 from voile.study.schema import Point, Study
 
 DISPLACEMENT, ENERGY = "max_displacement", "energy"
@@ -44,10 +46,18 @@ class Measure:
 
 
 def find_measures(
-    study: Study, scene: Scene, refuse: Callable[[str, KeyPath], InputError]
+    study: Study, scene: Scene | Problem, refuse: Callable[[str, KeyPath], InputError]
 ) -> tuple[Measure, ...]:
     """The study's, as far as its scene tells. Raises `refuse`'s error for one that no run produces."""
     points = {point.name: point for point in study.point}
+    if isinstance(scene, Problem):
+        if points:
+            raise refuse("a friction problem has no points; allowed: [[point]] of a scene", ("point", 0))
+        for name in study.study.measures:
+            if name not in OF_PROBLEMS:
+                problem = f'no friction problem has "{name}"; allowed: {", ".join(OF_PROBLEMS)}'
+                raise refuse(problem, ("study", "measure"))
+        return tuple(Measure(name, None) for name in study.study.measures)
     surface, tasks = surface_of(scene), _tasks(study, scene)
     touches = scene.obstacle or scene.contact.self_contact
     touches = touches or any(name.startswith(("obstacle", "contact")) for name in study.names)
@@ -108,10 +118,12 @@ def _selected(surface: Surface, point: Point) -> Ints:
 
 
 def values(
-    measures: tuple[Measure, ...], scene: Scene, folder: Path, summary: dict[str, Any]
+    measures: tuple[Measure, ...], scene: Scene | Problem, folder: Path, summary: dict[str, Any]
 ) -> dict[str, float | None]:
     """Each measure's value in the results of a scene; None for one that is not there."""
-    surface = surface_of(scene) if any(m.point for m in measures) else None
+    surface = None
+    if isinstance(scene, Scene) and any(m.point for m in measures):
+        surface = surface_of(scene)
     found: dict[str, float | None] = {}
     for m in measures:
         if m.point and surface:

@@ -8,6 +8,7 @@ import numpy as np
 
 from voile.arrays import Reals
 from voile.files import replacing
+from voile.scene import Scene
 from voile.study.analysis import Findings, Row
 from voile.study.series import ENDS, SIZED
 from voile.study.settings import COST, changes
@@ -153,8 +154,8 @@ def _dress(axes: Any, findings: Findings, kinds: int) -> None:
     for accuracy in findings.plan.study.study.accuracy:
         axes.axhline(accuracy, color=LINE, linewidth=0.7, linestyle=":")
     without = sum(row.error is None for row in findings.rows) - (findings.plan.reference is not None)
-    named = [run.scene.scene.name for run in findings.plan.runs if run.scene]
-    title = (named[0] or findings.plan.scene.stem) + (
+    named = [run.scene.scene.name for run in findings.plan.runs if isinstance(run.scene, Scene)]
+    title = (next(iter(named), "") or findings.plan.scene.stem) + (
         f" ({without} runs without an error)" if without else ""
     )
     axes.set_title(title, loc="left", color=INK, fontsize=11)

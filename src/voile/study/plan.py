@@ -14,6 +14,7 @@ from voile.keys import Rejected, Table
 from voile.scene import Scene, read_scene, unsupported
 from voile.scene.reader import KeyPath, read_source, refusal
 from voile.study.measures import Measure, find_measures
+from voile.study.problems import KEYS, Problem, find_problem, is_problem
 from voile.study.schema import EXTRAPOLATE, Known, Study
 from voile.study.settings import (
     COST,
@@ -38,12 +39,13 @@ NUMBERED = ("%0", "%d")  # in the name of a file that stands for many
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A variant: its name in tables, settings, and `scene` with them, None where no scene may be so (refused says why).
+    """A variant: its name in tables, settings, and `scene` or problem with them, None where none may be so (refused
+    says why).
     key: what decides its result, as a hash. effective: of all settings that the study touches, defaults included."""
 
     name: str
     settings: Settings
-    scene: Scene | None
+    scene: Scene | Problem | None
     refused: str
     key: str
     effective: Settings
@@ -61,8 +63,8 @@ class Run:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A study: file, scene file, runs without doubles, and the number of the reference's among them, None where it
-    is a value or extrapolated."""
+    """A study: file, file of the scene or friction problem, runs without doubles, and the number of the reference's
+    among them, None where it is a value or extrapolated."""
 
     path: Path
     study: Study
@@ -86,7 +88,7 @@ def read_plan(path: Path) -> Plan:
     except Rejected as error:
         raise refusal(path, source.places, error.problem, error.path) from None
     scene_path = path.parent / study.study.scene
-    base = read_scene(scene_path)
+    base = find_problem(scene_path, {}) if is_problem(scene_path) else read_scene(scene_path)
     measures = find_measures(study, base, lambda problem, at: refusal(path, source.places, problem, at))
     given = list(_given(study))
     for name in study.vary:
@@ -127,8 +129,11 @@ def _given(study: Study) -> Iterator[tuple[str, Settings]]:
         yield f"reference {told(reference)}", reference
 
 
-def _lacks(scene: Scene, name: str) -> str:
-    """The part of a key that counts a table which the scene has not; empty if it has all."""
+def _lacks(scene: Scene | Problem, name: str) -> str:
+    """The key of one that is of the other, scene or friction problem; the part of a key that counts a table which the
+    scene has not; empty if it has all."""
+    if isinstance(scene, Problem) != (name in KEYS):
+        return f"{name}; allowed: {', '.join(KEYS) if isinstance(scene, Problem) else 'keys of scenes'}"
     parts = full(name).split(".")
     for k, part in enumerate(parts):
         if part.isdecimal() and value_of(scene, ".".join(parts[: k + 1])) is None:
@@ -150,9 +155,7 @@ def _check_levels(study: Study, path: Path, places: dict[KeyPath, str]) -> None:
 def _run(name: str, settings: Settings, path: Path, names: list[str]) -> Run:
     scene, refused = None, ""
     try:
-        scene = read_scene(path, overrides(settings))
-        if missing := unsupported(scene):
-            scene, refused = None, f"this version cannot run {'; '.join(missing)}"
+        scene = _varied(path, settings)
     except InputError as error:
         refused = str(error)
     own, bare = {RANKS: settings.get(RANKS, 1)}, scene and taken(scene)
@@ -167,15 +170,24 @@ def _run(name: str, settings: Settings, path: Path, names: list[str]) -> Run:
     return Run(name, settings, scene, refused, _key(bare, settings), effective)
 
 
+def _varied(path: Path, settings: Settings) -> Scene | Problem:
+    """A scene, or a friction problem, with settings. Raises InputError."""
+    if is_problem(path):
+        return find_problem(path, settings)
+    scene = read_scene(path, overrides(settings))
+    if missing := unsupported(scene):
+        raise InputError(f"this version cannot run {'; '.join(missing)}")
+    return scene
+
+
 # ---- what decides a result ----
 
 
-def _key(scene: Scene | None, settings: Settings) -> str:
+def _key(scene: Scene | Problem | None, settings: Settings) -> str:
     """Hash of what a scene takes with the contents of its files, of settings beside it, and of the program."""
     parts: list[Any] = [program(), settings.get(RANKS, 1)]
-    parts.append(
-        contents(dataclasses.replace(scene, text="", path=Path())) if scene else sorted(settings.items())
-    )
+    bare = dataclasses.replace(scene, text="", path=Path()) if isinstance(scene, Scene) else scene
+    parts.append(contents(bare) if bare else sorted(settings.items()))
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 

@@ -105,7 +105,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:
-    scene: Path = key(File(), "scene file, relative to the study's")
+    scene: Path = key(File(), "scene file, or a friction problem's, relative to the study's")
     measure: tuple[str, ...] | str = key(
         Array(Text(filled=True), least=1, lone=True),
         "names of figures of summary.json (dotted: contact.active), of points, max_displacement, or energy, their sum",

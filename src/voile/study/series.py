@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 from voile.study.execute import CONVERGED, Record
 from voile.study.plan import Run
+from voile.study.problems import TOLERANCE
 from voile.study.settings import Settings
 
 MESH, REFINE, TIME_STEP = "shell.mesh", "refine", "dynamics.time_step"
@@ -17,6 +18,7 @@ ENDS = {
     "dynamics.tolerance": False,
     "statics.tolerance": False,
     "inverse.tolerance": False,
+    TOLERANCE: False,
     "dynamics.iterations": True,
     "inverse.iterations": True,
 }

@@ -12,6 +12,8 @@ from voile.keys.kinds import read_key as read_named
 from voile.scene import Scene
 from voile.scene.plain import toml_value
 from voile.scene.schema import homes
+from voile.study import problems
+from voile.study.problems import TOLERANCE, Problem
 
 Settings = dict[str, Any]
 SHORT = {"refine": "shell.refine"}  # words of a study for keys of scenes
@@ -43,6 +45,7 @@ CHANGES = {
     "inverse.max_seconds": ITERATION,
     "modes.count": COST,
     "output": COST,
+    TOLERANCE: ITERATION,
     RANKS: COST,
 }
 NORMALS, SMOOTH = "shell.bending", "shell.refine_smooth"
@@ -86,9 +89,10 @@ def flattened(tree: dict[str, Any], at: tuple[str, ...] = ()) -> Iterator[tuple[
 
 
 def check(name: str, value: Any) -> None:
-    """Raises Rejected for a key that no scene has and a value that is not of its kind."""
-    if name in OWN:
-        OWN[name].read(value)
+    """Raises Rejected for a key that neither scenes nor friction problems have, and a value that is not of its kind."""
+    own = OWN | problems.KEYS
+    if name in own:
+        own[name].read(value)
         return
     kind: Kind = Table(Scene)
     for part in full(name).split("."):
@@ -122,8 +126,8 @@ def overrides(settings: Settings) -> list[str]:
     return [f"{full(name)}={toml_value(value)}" for name, value in settings.items() if name not in OWN]
 
 
-def value_of(scene: Scene, name: str) -> Any:
-    """What a scene has for a key, its defaults included; None where it has no such table."""
+def value_of(scene: Scene | Problem, name: str) -> Any:
+    """What a scene has for a key, its defaults included; None where it has no such table or key."""
     node: Any = scene
     for part in full(name).split("."):
         if isinstance(node, tuple) and part.isdecimal():
@@ -131,12 +135,15 @@ def value_of(scene: Scene, name: str) -> Any:
         elif isinstance(node, dict):
             node = node.get(part)
         elif node is not None:
-            node = getattr(node, Table(type(node)).fields[part].name, None)
+            field = Table(type(node)).fields.get(part)
+            node = field and getattr(node, field.name, None)
     return node
 
 
-def taken(scene: Scene) -> Scene:
+def taken(scene: Scene | Problem) -> Scene | Problem:
     """A scene with None for the keys that it makes nothing of: what decides its result."""
+    if isinstance(scene, Problem):
+        return scene
     for name, takes in TAKEN.items():
         if not takes(scene):
             table, key = name.split(".")
