@@ -104,9 +104,18 @@ def test_names_in_files_are_but_names(tmp_path):
     assert "<script>" not in page.split("<h2>Scene</h2>")[1].split("</pre>")[0]
 
 
-def test_loads_beyond_all_numbers_say_so_in_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("task", "load"),
+    [
+        ("dynamics", "pressure = 1e300"),
+        ("statics", "gravity = [0, 0, -1e160]"),  # its square is no number
+        ("modes", "gravity = [0, 0, -1e160]"),
+    ],
+)
+def test_loads_beyond_all_numbers_say_so_in_one_line(tmp_path, task, load):
     (tmp_path / "strip.obj").write_text(STRIP)
-    (tmp_path / "scene.toml").write_text(DYNAMICS + "[loads]\npressure = 1e300\n")
+    scene = DYNAMICS.replace('"dynamics"', f'"{task}"').partition("clamp")[0] + f"[loads]\n{load}\n"
+    (tmp_path / "scene.toml").write_text(scene)
     command = [sys.executable, "-m", "voile.cli", "run", "scene.toml", "-o", "out"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
     assert done.returncode == 3 and done.stderr.count("\n") == 1, done.stderr

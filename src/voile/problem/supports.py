@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from voile.arrays import Ints, Reals, triangle_areas, triangle_sides
+from voile.arrays import Ints, Reals, triangle_areas, triangle_sides, units
 from voile.errors import InputError
 from voile.problem.shell import Shell
 
@@ -157,7 +157,7 @@ def _describe(shell: Shell, modes: Reals) -> str:
             + ", and there is no load to hold it"
         )
     if gravity.any() and not (shell.pressed or shell.force is not None or shell.moment is not None):
-        down = gravity / np.linalg.norm(gravity)
+        down = units(gravity / np.abs(gravity).max())  # the square of gravity may be no number
         turned = np.linalg.lstsq(modes[:, 3:].T, down, rcond=None)[0] @ modes
         if np.linalg.norm(turned[3:] - down) < 1e-9 and abs(turned[:3] @ down) < 1e-9:
             return f"rotation about the direction of gravity, {_direction(down)}"

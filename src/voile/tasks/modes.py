@@ -1,11 +1,12 @@
 """task = modes: natural frequencies about the equilibrium that statics finds, or the load factors of buckling."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from voile.arrays import Reals
-from voile.errors import InputError
+from voile.errors import InputError, NotConverged
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
 from voile.problem.supports import free_motions
@@ -78,6 +79,8 @@ def _equilibrium(job: Run, shell: Shell | None, problem: Problem, about: float) 
     options = options_of(job.scene)
     residual, wanted = problem.create_vector(), tolerance(start, y, options)
     start.residual(y, residual)
+    if not math.isfinite(wanted):
+        raise NotConverged("the loads are not finite")
     if not start.contact and residual.norm() <= wanted:
         here = LoadStep(about, 0, residual.norm(), wanted, start.energies(y), method="start")
         return start, Path(y, True, here.reason, [here])
