@@ -40,6 +40,38 @@ def test_signals_after_the_first_cut_nothing_short(voile):  # noqa: F811
     assert read_result(voile.folder).n_steps == 1
 
 
+LATE = """
+import atexit, signal, sys
+from pathlib import Path
+import voile.petsc_options as options
+import voile.results.folder as folder
+from voile.cli import main
+from voile.tasks import Progress
+atexit.register(signal.raise_signal, signal.SIGTERM)  # while the process ends
+def late(module, name):
+    whole = getattr(module, name)
+    def told(*values):
+        if Path(sys.argv[4], "summary.json").exists():
+            signal.raise_signal(signal.SIGTERM)
+        return whole(*values)
+    setattr(module, name, told)
+late({where})
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("where", ['options, "unused_options"', 'folder, "part_of"', 'Progress, "line"'])
+@pytest.mark.parametrize("code", [0, 3])
+def test_signals_after_the_last_step_change_nothing(voile, where, code):  # noqa: F811
+    """A run that has done its work ends with its own exit code: it ended by the signal, or as if stopped."""
+    scene = voile.folder.parent / "one.toml"
+    command = [sys.executable, "-c", LATE.replace("{where}", where), "run", scene, "-o", voile.folder]
+    command += ["--set", f"statics.max_steps={1 if code else 100}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.returncode == code and "stopped by" not in done.stderr, done.stderr
+    assert json.loads((voile.folder / "summary.json").read_text())["converged"] is (code == 0)
+
+
 @pytest.mark.parametrize("where", ["_publish", "_rebuild"])
 def test_a_signal_while_a_result_is_made_leaves_no_part_of_it(voile, monkeypatch, where):  # noqa: F811
     def told(self, *words):

@@ -19,9 +19,11 @@ ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1, signal.SIGUSR2, signal.
 
 @dataclass
 class Process:
-    """ends: it does after the command that runs, as it does not where a program or a test calls one."""
+    """ends: it does after the command that runs, as it does not where a program or a test calls one; over: what signals
+    end has ended."""
 
     ends: bool = False
+    over: bool = False
 
 
 process = Process()
@@ -33,15 +35,15 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
     as ranks must end at the same place (voile.problem.lifetime.stop_if_told). There also a run of one rank ends whose
     signal came while Python freed something, which swallows what is raised.
 
-    Once one has come, others end nothing: neither what the first lets be written nor, where `process` says so, what is
-    left of the process. A second Ctrl-C is common, and service managers send two signals at once."""
+    Once one has come, others end nothing, as a second Ctrl-C is common, and service managers send two signals at once.
+    Nor does one end what is left of a process that has done its work: handlers are put back for programs only."""
     told: list[int] = []
-    raised = False
+    raised = process.over = False
 
     def stop(number: int, _frame: FrameType | None) -> None:
         nonlocal raised
         told.append(number)
-        if not (together or raised):
+        if not (together or raised or process.over):
             raised = True
             raise KeyboardInterrupt
 
@@ -59,7 +61,7 @@ def stoppable(together: bool = False) -> Iterator[list[int]]:
     finally:
         sys.unraisablehook = hook
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if told and process.ends else handler)
+            signal.signal(number, signal.SIG_IGN if process.ends else handler)
 
 
 def noted() -> list[int]:
@@ -97,10 +99,13 @@ def _end(_number: int, _frame: FrameType | None) -> None:
 
 @contextmanager
 def not_lost(told: Sequence[int]) -> Iterator[None]:
-    """What goes wrong after a signal is its doing: newer PETSc loses what a callback raises."""
+    """What goes wrong after a signal is its doing: newer PETSc loses what a callback raises. Signals that come after
+    what runs within end nothing."""
     try:
         yield
     except Exception as other:
         if told:
             raise KeyboardInterrupt from other
         raise
+    finally:
+        process.over = True
