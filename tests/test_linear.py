@@ -71,8 +71,8 @@ def test_a_new_pattern_is_analysed_anew():
     assert solver.factor_definite(petsc(wide)) and error(solver, wide) < 1e-10
 
 
-def test_cholmod_starts_no_threads():
-    """It would start four, whatever OMP_NUM_THREADS says, which wait for each other."""
+def test_factors_start_no_threads():
+    """CHOLMOD's would start four, whatever OMP_NUM_THREADS says, which wait for each other."""
 
     def threads() -> str:
         lines = Path("/proc/self/status").read_text().splitlines()

@@ -172,6 +172,26 @@ def test_prescribed_motion_follows_the_load_factor():
     assert np.allclose(u.reshape(-1, 3)[held], [0.05, -0.1, 0.15], atol=1e-16)
 
 
+def test_a_point_is_the_same_while_nothing_changes():
+    """Terms know by it what they have found there: unknowns, time and what displacements count from all matter."""
+    points, triangles = sheet(4, 2)
+    problem = Problem(make_shell(points, triangles), MPI.COMM_SELF)
+    y = problem.create_vector()
+    y.array[:] = 1e-3 * np.sin(np.arange(len(y.array)))
+    at, again = problem.point(y), problem.with_terms().point(y.copy())
+    assert at is again and not at.positions.flags.writeable
+    assert problem.at(0.5).point(y) is not at and problem.with_passing_hinges().point(y).passes
+    before = problem.point(y)
+    y.array[3] += 1e-18
+    assert problem.point(y) is not before
+    x, zero = problem.positions(y), problem.create_vector()
+    problem.point(zero)
+    problem.move_origin(y)
+    assert abs(problem.positions(y) - x).max() < 1e-16
+    problem.reset_origin(y)
+    assert abs(problem.positions(y) - x).max() < 1e-16
+
+
 def test_a_clamp_that_may_tilt_is_refused():
     points, triangles = sheet(4, 2)
     shell = make_shell(points, triangles)

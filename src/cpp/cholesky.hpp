@@ -17,9 +17,9 @@ struct Node {
   const double* panel;
 };
 
-// L L^T of a symmetric positive definite matrix, made by CHOLMOD (Davis et al., SuiteSparse) in supernodes:
-// groups of columns with the same rows, stored densely. Three right-hand sides are solved for in the time of
-// one: 0.31 ms at 6,000 vertices where CHOLMOD's own solves take 0.51 (simplicial) and 0.69.
+// L L^T of a symmetric positive definite matrix, in the supernodes of `Definite`, stored by rows. Three
+// right-hand sides are solved for in the time of one: 0.31 ms at 6,000 vertices where CHOLMOD's own solves
+// take 0.51 (simplicial) and 0.69.
 class Cholesky {
  public:
   // Rows of the matrix, both triangles, columns ascending. Throws std::runtime_error where it is not positive

@@ -118,15 +118,23 @@ class Contact(NaturalMap):
 
     def force(self, x: Reals, t: float, softness: float = 1.0) -> Reals:
         """(n, 3) minus the gradient of `energy` (N)."""
+        return self.force_of(self.frozen_pairs(x, t, softness), x)
+
+    def force_of(self, pairs: list[Pairs], x: Reals) -> Reals:
+        """The same of the `frozen_pairs` at positions x."""
         total = np.zeros_like(x)
-        for p in self.frozen_pairs(x, t, softness):
+        for p in pairs:
             normal, tangential = p.project()
             self.collect(p, partial(p.spread, normal + self.guard(p)[1], tangential), total)
         return total
 
     def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0) -> Iterator[tuple[Ints, Reals]]:
         """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
-        for p in self.frozen_pairs(x, t, softness):
+        return self.blocks_of(self.frozen_pairs(x, t, softness), convex)
+
+    def blocks_of(self, pairs: list[Pairs], convex: bool) -> Iterator[tuple[Ints, Reals]]:
+        """The same of `frozen_pairs`."""
+        for p in pairs:
             _, push, stiff = self.guard(p)
             stiff += p.rho * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)

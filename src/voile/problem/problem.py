@@ -23,7 +23,7 @@ from voile.problem.shell import Shell
 from voile.problem.springs import springs_of
 from voile.problem.state import State
 from voile.problem.supports import pieces_of
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Point, Seen, Term
 from voile.problem.unknowns import Unknowns
 
 ROUND_OFF = 1e-12  # of a weight of C
@@ -72,6 +72,7 @@ class Problem:
         self.moves = bool(comm.allreduce(part.supports.move, op=MPI.LOR))
         self._length = bounding_size(part.points, comm)
         self._assembly = Assembly(part, self.directors, comm)
+        self._seen = Seen()
 
     def _kept_by_piece(self) -> Reals:
         """(pieces, 3, 3) sums of `kept`. Collective."""
@@ -185,11 +186,25 @@ class Problem:
         return self.layout.shape(y, self.time)
 
     def point(self, y: PETSc.Vec) -> Point:
-        """Where the terms are evaluated."""
-        u, phi = self.shape(y)
-        displacement = self.layout.base + u
-        x = self.part.points + displacement.reshape(-1, 3)
-        return Point(u, phi, displacement, x, self.time, self.passes)
+        """Where the terms are evaluated. Mostly that is where the last ones were, by this problem or another of the
+        same shell: then it is the same object, by which terms know what they have found there."""
+        seen, base = self._seen, self.layout.base
+        at = seen.point
+        same = (
+            at is not None
+            and seen.base is base
+            and (at.time, at.passes) == (self.time, self.passes)
+            and np.array_equal(seen.unknowns, y.array_r)
+        )
+        if at is None or not self.everywhere(same):
+            u, phi = self.shape(y)
+            displacement = base + u
+            x = self.part.points + displacement.reshape(-1, 3)
+            for values in (u, phi, displacement, x):
+                values.flags.writeable = False
+            at = seen.point = Point(u, phi, displacement, x, self.time, self.passes)
+            seen.unknowns, seen.base = y.array_r.copy(), base
+        return at
 
     # ---- potential, residual, tangent ----
 
@@ -211,11 +226,19 @@ class Problem:
     def residual(self, y: PETSc.Vec, f: PETSc.Vec, reactions: Reals | None = None) -> None:
         """Writes the gradient of the potential (N; N m for directors) to f, less forces on the shell (local vertices,
         3) N, if given."""
+        self.unbalanced(self.forces(y), f, reactions)
+
+    def forces(self, y: PETSc.Vec) -> Reals:
+        """(local dofs,) those of all terms (N; N m on directors)."""
         stop_if_told(self.comm)
         at = self.point(y)
-        forces = sum((term.forces(at) for term in self.terms[1:]), self.terms[0].forces(at))
+        return sum((term.forces(at) for term in self.terms[1:]), self.terms[0].forces(at))
+
+    def unbalanced(self, forces: Reals, f: PETSc.Vec, reactions: Reals | None) -> None:
+        """As `residual`, by the terms' forces."""
         if reactions is not None:
-            forces += at.over_dofs(reactions)
+            forces = forces.copy()
+            forces[: self.layout.vertices] += reactions.ravel()
         f.array[:] = -self.layout.collect(forces)
 
     def load_norm(self, y: PETSc.Vec) -> float:

@@ -1,6 +1,6 @@
 """What a potential is made of: terms, each with energy, gradient, Hessian and longest step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,15 @@ class Point:
     def over_dofs(self, forces: Reals) -> Reals:
         """(dofs,) of forces on the vertices (vertices, 3) N alone."""
         return np.concatenate([forces.ravel(), np.zeros(len(self.phi))])
+
+
+@dataclass
+class Seen:
+    """The last point, its unknowns, and what these count from (`Unknowns.base`)."""
+
+    point: Point | None = None
+    unknowns: Reals = field(default_factory=lambda: np.zeros(0))
+    base: Reals | None = None
 
 
 class Term:

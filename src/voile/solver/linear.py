@@ -1,9 +1,8 @@
 """Factorisations: which solver, what it says of the matrix, and how many of them a run took.
 
-On one rank CHOLMOD factors positive definite matrices in 0.6 to 0.85 of MUMPS' time (700 to 22,000 unknowns,
-Cooperlake kernels) and solves in a third to two thirds; one that is indefinite it leaves at a negative pivot. It is
-called without PETSc, which keeps it on four threads of OpenMP and loses its analysis with an indefinite matrix. MUMPS
-factors all others, and on several ranks all.
+On one rank `_projective.Definite`, fronts in CHOLMOD's order, factors positive definite matrices in 0.4 to 0.8 of
+MUMPS' time (700 to 30,000 unknowns, Cooperlake kernels) and solves in a third to two thirds; one that is indefinite it
+leaves at a negative pivot. MUMPS factors all others, and on several ranks all.
 """
 
 import time
@@ -216,7 +215,7 @@ class LinearSolver:
 
 
 class Cholesky:
-    """Context of a PETSc PC of type python: CHOLMOD's L L^T on one rank."""
+    """Context of a PETSc PC of type python: L L^T on one rank."""
 
     def __init__(self) -> None:
         self._factor: _projective.Definite | None = None
@@ -238,7 +237,7 @@ class Cholesky:
 
 
 class Symmetric(LinearSolver):
-    """Symmetric systems on one rank: L L^T by CHOLMOD, and by `indefinite` where a matrix is not positive definite."""
+    """Symmetric systems on one rank: L L^T, and by `indefinite` where a matrix is not positive definite."""
 
     def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
         super().__init__(ksp, indefinite.counts)

@@ -233,10 +233,11 @@ class _March:
         options, contact, problem, y = self.options, self.contact, self.problem, self.y
         if self.slips:
             contact.begin(problem.positions(y), problem.time)
-        step = problem.with_terms(AugmentedContact(contact), inertia)
+        potential = AugmentedContact(contact)
+        potential.freeze(problem.point(y))
+        step = problem.with_terms(potential, inertia)
         begun, fresh, f = y.copy(), self._fresh(), y.duplicate()
         depth = np.maximum(-_gap(problem, y), 0.0)
-        contact.freeze(problem.positions(y), problem.time)
         step.residual(y, f)
         if not contact.itself:  # layers take long to settle again
             perturb(problem, y, self.method.perturbation)
@@ -255,7 +256,7 @@ class _March:
         if too_far(y):
             return None
         if done:
-            contact.adopt(problem.positions(y), problem.time)
+            potential.update(problem.point(y))
             return True
         unfinished = descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return False if unfinished else None

@@ -181,9 +181,10 @@ class Iteration:
     ) -> None:
         """The Newton step."""
         problem = self.method.nonlinear.problem
+        forces = problem.forces(y)
 
         def residual(f: PETSc.Vec) -> None:
-            problem.residual(y, f, linear.force())
+            problem.unbalanced(forces, f, linear.force())
 
         # The first step may be all. Where another one would miss the tolerance by what a solve leaves, one is enough.
         corrections = 1 if solver.leaves * self.left > 1.0 else self.options.corrections
