@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
+import scipy  # its parts load when they are asked for
 
 from voile.arrays import Flags, Ints, Reals, area_vectors, diagonal, units
 from voile.contact.directions import TINY, unit
@@ -60,7 +60,9 @@ class DistanceField:
     def distance(self, p: Reals) -> Reals:
         """(n,) m at points (n, 3)."""
         place, beyond = self._clamp(p)
-        spline = map_coordinates(self.coefficients, place.T, order=3, mode="mirror", prefilter=False)
+        spline = scipy.ndimage.map_coordinates(
+            self.coefficients, place.T, order=3, mode="mirror", prefilter=False
+        )
         found: Reals = spline + np.linalg.norm(beyond, axis=1)
         return found
 
@@ -164,7 +166,7 @@ def _sampled(points: Reals, triangles: Ints, skin: Ints, spacing: float, source:
             f"allowed: {LARGEST:.0e}, that is a resolution of about {diagonal(points) * FINEST:.2g} m"
         )
     samples = _samples(points, triangles, skin, origin, spacing, shape)
-    coefficients = spline_filter(samples, order=3, mode="mirror")
+    coefficients = scipy.ndimage.spline_filter(samples, order=3, mode="mirror")
     return DistanceField(
         points=points,
         triangles=triangles,
@@ -276,11 +278,11 @@ def _samples(points: Reals, triangles: Ints, skin: Ints, origin: Reals, spacing:
     coarse = np.stack(np.meshgrid(*few, indexing="ij"), axis=-1).reshape(-1, 3)
     far = signed_distance(points, triangles, skin, origin + spacing * coarse).reshape([len(n) for n in few])
     axes = [np.arange(n) / COARSE for n in shape]
-    samples: Reals = map_coordinates(far, np.meshgrid(*axes, indexing="ij"), order=1)
+    samples: Reals = scipy.ndimage.map_coordinates(far, np.meshgrid(*axes, indexing="ij"), order=1)
     off = np.sqrt(3.0) / 2.0 * COARSE * spacing
     band = np.abs(samples) < BAND * spacing + off
     nodes = np.argwhere(band)
-    side = map_coordinates(np.sign(far), nodes.T / COARSE, order=1)
+    side = scipy.ndimage.map_coordinates(np.sign(far), nodes.T / COARSE, order=1)
     open_to = (np.abs(samples[band]) <= off) | (np.abs(side) < 1.0 - 1e-9)
     there = origin + spacing * nodes
     side[open_to] = _sides(points, triangles, there[open_to])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # its parts load when they are asked for
 
 from voile.arrays import Ints, Reals
 
@@ -48,7 +48,9 @@ class Motion:
 
     def turn(self, t: float) -> Reals:
         """(3, 3) rotation at time t."""
-        found: Reals = Rotation.from_rotvec(
+        if not self.turns:
+            return np.eye(3)
+        found: Reals = scipy.spatial.transform.Rotation.from_rotvec(
             self.share(t) * np.asarray(self.rotation, dtype=float)
         ).as_matrix()
         return found
@@ -118,7 +120,7 @@ class Track(Motion):
         return self._at(t)[:3]
 
     def turn(self, t: float) -> Reals:
-        found: Reals = Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
+        found: Reals = scipy.spatial.transform.Rotation.from_rotvec(self._at(t)[3:]).as_matrix()
         return found
 
     def _at(self, t: float) -> Reals:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # its parts load when they are asked for
 
 from voile import _kernels
 from voile.arrays import Ints, Reals
@@ -117,7 +117,9 @@ class Elastic(Term):
         part, total = self.part, 0.0
         row, moment = self.clamp_moments(at)
         for k, motion in enumerate(part.turns):
-            turned = Rotation.from_matrix(motion.turn(until) @ motion.turn(since).T).as_rotvec()
+            turned = scipy.spatial.transform.Rotation.from_matrix(
+                motion.turn(until) @ motion.turn(since).T
+            ).as_rotvec()
             total += float(moment[part.half_edge_clamp[row, 6] == k].sum(axis=0) @ turned)
         return total
 

@@ -74,7 +74,8 @@ class ResultWriter:
     built with MPI, else gathered on rank 0; gather=True or the environment's VOILE_GATHER=1 forces the
     latter. A result already at `path` stays until the first step is complete; it and its summary are then
     kept as `*.previous.*`. goes_on: steps after which a result at `path` of the same scene goes on, 0: anew;
-    numbered: times for VTK are the steps' numbers. A writer is a context manager; after a crash the file
+    numbered: times for VTK are the steps' numbers; room: for how many steps the file is made, which costs nothing where
+    just so many come. A writer is a context manager; after a crash the file
     holds the last complete step.
     """
 
@@ -89,6 +90,7 @@ class ResultWriter:
         gather: bool = False,
         goes_on: int = 0,
         numbered: bool = False,
+        room: int = CAPACITY,
     ):
         self.path, self.comm, self.steps, self.numbered = Path(path), comm, 0, numbered
         self._scene_text, self._versions = scene_text, dict(versions or {})
@@ -104,7 +106,7 @@ class ResultWriter:
             sizes = [len(mesh.start), len(mesh.triangles), 0 if mesh.edges is None else len(mesh.edges)]
         self.n_points, self.n_cells, self.n_edges = comm.bcast(sizes if comm.rank == 0 else None)
         self._stepped: dict[str, _Stepped] = {}
-        self._capacity = CAPACITY
+        self._capacity = room
         self._file: Any = None
         self._opened = self.path
         if goes_on:

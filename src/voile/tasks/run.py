@@ -35,6 +35,7 @@ from voile.problem.support_forces import Supporting, support_forces, support_tab
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.results.folder import RESULT, SUMMARY, set_aside
 from voile.results.restart import Restarts
+from voile.results.writer import CAPACITY
 from voile.scene import Scene
 from voile.solver.path import Arrays, LoadStep
 from voile.solver.path import Path as LoadPath
@@ -151,8 +152,10 @@ class Run:
         return replace(mesh, point_data={**mesh.point_data, **given})
 
     @contextmanager
-    def results(self, mesh: StaticMesh | None, numbered: bool = False) -> Iterator[ResultWriter]:
-        """The result file; numbered: its values may fall."""
+    def results(
+        self, mesh: StaticMesh | None, numbered: bool = False, room: int = CAPACITY
+    ) -> Iterator[ResultWriter]:
+        """The result file; numbered: its values may fall; room: for how many steps at first."""
         with ResultWriter(
             self.folder / "result.vtkhdf",
             self.comm,
@@ -162,6 +165,7 @@ class Run:
             goes_on=int(self.found.get(STORED, 0)),
             gather=not self.lasting,
             numbered=numbered,
+            room=room,
         ) as writer:
             try:
                 yield writer

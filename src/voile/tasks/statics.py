@@ -6,8 +6,9 @@ from typing import Any
 from voile.errors import InputError
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell
+from voile.results.writer import CAPACITY
 from voile.scene import Scene
-from voile.solver.path import BIFURCATION, LIMIT_POINT, Path, StaticsOptions
+from voile.solver.path import BIFURCATION, LIMIT_POINT, Path, StaticsOptions, load_steps
 from voile.solver.statics import solve_statics
 from voile.solver.stepping.arc_length import solve_arc
 from voile.tasks.run import Run, Steps
@@ -19,7 +20,8 @@ def run(job: Run) -> str:
     shell, problem = job.prepare()
     if job.scene.statics.control == "arc-length":
         return _along_the_arc(job, shell, problem, options)
-    with job.results(job.mesh(shell, problem.directors)) as writer:
+    room = min(len(options.load_factors) or load_steps(problem, options), CAPACITY)
+    with job.results(job.mesh(shell, problem.directors), room=room) as writer:
         steps = Steps(job, problem, writer)
         path = solve_statics(problem, options, on_step=steps, on_pause=steps.pause, found=job.found)
         steps.finish(path)

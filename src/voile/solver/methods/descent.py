@@ -138,6 +138,7 @@ class Iteration:
         self.method, self.work, self.options = method, method.work, method.options
         self.steps: list[Step] = []
         self.shift = np.zeros(0)  # (local vertices,) 1/s^2 of mass added while steps are short
+        self._slow = 0.0  # 1/s^2, of the time in which the load moves the shell by about its size
         self._wait = 0  # steps until the exact Hessian is tried again
         self._share = 1.0  # of the safe matrix in its stead
         self._hold = 0  # whole steps until a lower one is tried
@@ -154,7 +155,7 @@ class Iteration:
         here, trial = Iterate(y, snes.getFunction()[0]), Iterate(y.duplicate(), y.duplicate())
         direction, stall = y.duplicate(), Stall()
         self.steps, self._wait, self._share, self._hold = [], 0, 1.0, 0
-        self.shift = np.zeros(len(problem.vertex_mass()))
+        self.shift, self._slow = np.zeros(len(problem.vertex_mass())), slow_rate(problem)
         self._mixed = False
         snes.computeFunction(y, here.residual)
         here.energy = self._energy(y)
@@ -174,12 +175,13 @@ class Iteration:
                 length = self._lengthen(here, direction, slope, trial)
             elif problem.conservative and exact and length < 0.5 and self._rest == 0:
                 self._watchdog(here, direction, trial)
+            falls = here.energy - trial.energy > self.options.noise * abs(here.energy)
             self._take(here, direction, trial, length, exact)
             self.steps.append(Step(it, here.norm, here.energy, length, exact, self._largest(self.shift)))
             reason = test(snes, it, y, direction, here.norm)
             if self.work.watch:
                 self.work.watch(y)
-            reason = reason or self._end(here, stall)
+            reason = reason or self._end(here, stall, falls)
         snes.setConvergedReason(reason or _REASON.DIVERGED_MAX_IT)
 
     def _take(self, here: Iterate, direction: PETSc.Vec, trial: Iterate, length: float, exact: bool) -> None:
@@ -194,14 +196,14 @@ class Iteration:
         if not exact:
             self._soften(length)
 
-    def _end(self, here: Iterate, stall: Stall) -> int:
-        """Why it ends here, though SNES would go on; 0 where it does."""
+    def _end(self, here: Iterate, stall: Stall, falls: bool) -> int:
+        """Why it ends here, though SNES would go on; 0 where it does. falls: the potential, by the last step."""
         method = self.method
         if method.settled and method.settled(self.steps):
             return int(_REASON.CONVERGED_ITS)
         if method.hopeless and method.hopeless(here.y):
             return int(_REASON.DIVERGED_LOCAL_MIN)
-        method.stalled = stall.reached(self.problem, here.y, here.norm)
+        method.stalled = stall.reached(self.problem, here.y, here.norm, falls)
         return int(_REASON.DIVERGED_LINE_SEARCH) if method.stalled else 0
 
     def _watchdog(self, here: Iterate, direction: PETSc.Vec, trial: Iterate) -> None:
@@ -288,19 +290,17 @@ class Iteration:
 
     def _regularise(self) -> bool:
         """Raises all shifts (pseudo-transient continuation); False when they are beyond use."""
-        first = slow_rate(self.problem)
-        self.shift = np.maximum(10.0 * self.shift, first)
-        return self._largest(self.shift) < 1e12 * first
+        self.shift = np.maximum(10.0 * self.shift, self._slow)
+        return self._largest(self.shift) < 1e12 * self._slow
 
     def _adapt(self, length: float, moved: PETSc.Vec) -> None:
         """The shifts after a step of this length that moved the unknowns."""
-        first = slow_rate(self.problem)  # of the time (s) in which the load moves the shell by about its size
         if length < 0.1:
             way = np.linalg.norm(self.problem.layout.spread(moved)[0].reshape(-1, 3), axis=1)
             far = way > self.options.far * self._largest(way)
-            self.shift[far] = np.maximum(4.0 * self.shift[far], first)
+            self.shift[far] = np.maximum(4.0 * self.shift[far], self._slow)
         elif length > 0.5:
-            self.shift = np.where(self.shift > 0.1 * first, 0.1 * self.shift, 0.0)
+            self.shift = np.where(self.shift > 0.1 * self._slow, 0.1 * self.shift, 0.0)
 
     # ---- line search ----
 

@@ -245,8 +245,10 @@ class _March:
         astray = self.method.astray(step)
 
         def too_far(at: PETSc.Vec) -> bool:
+            if not fresh:
+                return False
             moved = np.abs(problem.motion(difference(at, begun))).max(axis=1)
-            return fresh and problem.in_sizes(np.maximum(moved - depth, 0.0)) > room
+            return problem.in_sizes(np.maximum(moved - depth, 0.0)) > room
 
         def vain(at: PETSc.Vec) -> bool:
             return too_far(at) or bool(astray and astray(at))

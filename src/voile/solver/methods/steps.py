@@ -165,11 +165,12 @@ class Stall:
     best: float = np.inf
     waited: int = 0
 
-    def reached(self, problem: Problem, y: PETSc.Vec, norm: float) -> bool:
-        """Whether the iterate y with this norm (N) is where it ends."""
+    def reached(self, problem: Problem, y: PETSc.Vec, norm: float, falls: bool = False) -> bool:
+        """Whether the iterate y with this norm (N) is where it ends. falls: a potential still does, beyond its own
+        round-off."""
         self.waited = 0 if norm < 0.5 * self.best else self.waited + 1
         self.best = min(norm, self.best)
-        if self.waited == 0 or self.waited % self.idle:  # round-off costs three residuals
+        if falls or self.waited == 0 or self.waited % self.idle:  # round-off costs three residuals
             return False
         noise = max(round_off(problem, y))
         return norm / self.near < noise < self.far * norm
