@@ -180,7 +180,8 @@ def _pressed(shell: Shell, bodies: list[Obstacle]) -> bool:
     """Whether anything may press the shell on obstacles, so that they hold it."""
     loads = (shell.gravity, shell.pressed, shell.force, shell.moment, shell.motion)
     loaded = any(load is not None and np.any(load) for load in loads)
-    return loaded or bool(shell.moves) or any(body.moves for body in bodies)
+    strained = not np.array_equal(shell.points[shell.triangles], shell.rest_points[shell.rest_triangles])
+    return loaded or strained or bool(shell.moves) or any(body.moves for body in bodies)
 
 
 def _check_modes(scene: Scene, shell: Shell, bodies: list[Obstacle]) -> None:

@@ -24,6 +24,14 @@ def slow_rate(problem: Problem) -> float:
     return float(max(np.sqrt(total[0] / total[1]) / size, 1e-9 * wave / size**2))
 
 
+def strained_rate(problem: Problem, y: PETSc.Vec) -> float:
+    """1/s^2: as of a load, of what strains a shell out of balance."""
+    f = y.duplicate()
+    problem.residual(y, f)
+    mass = problem.part.mass[: len(problem.own_dofs())][problem.own_dofs()]
+    return float(f.norm() / max(problem.norm(mass) * problem.size(), 1e-300))
+
+
 def force_floor(problem: Problem) -> float:
     """Round-off of the residual at a shape far from the start (N): what no tolerance without loads goes below."""
     part = problem.part

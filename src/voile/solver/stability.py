@@ -57,8 +57,9 @@ def reach(perturbation: float, attempt: int) -> float:
 def smallest_eigenpair(
     problem: Problem, tangent: PETSc.Mat, scale: float, counts: Counts | None = None
 ) -> tuple[float, PETSc.Vec]:
-    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M = C^T M C. The mode's sign,
-    and which one of several with the same omega, are those next to the imperfection.
+    """Smallest omega^2 (1/s^2) of K v = omega^2 M v and its mode (unit largest entry), M = C^T M C; 0 where round-off
+    hides its sign, as of a ring that may go anywhere between frictionless plates. The mode's sign, and which one of
+    several with the same omega, are those next to the imperfection.
 
     Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
     no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
@@ -87,9 +88,19 @@ def smallest_eigenpair(
         return math.nan, problem.create_vector()
     mode = problem.create_vector()
     value = eps.getEigenpair(0, mode).real
+    if abs(value) <= _round_off(tangent, mass, mode):
+        value = 0.0
     sign = math.copysign(1.0, mode.dot(first))
     mode.scale(sign / mode.norm(PETSc.NormType.INFINITY))
     return value, mode
+
+
+def _round_off(tangent: PETSc.Mat, mass: PETSc.Mat, mode: PETSc.Vec) -> float:
+    """Of the Rayleigh quotient of a mode (1/s^2): what the last places of the terms of v.K v make of it."""
+    moved, square = mode.duplicate(), mode.duplicate()
+    mass.mult(mode, moved)
+    square.pointwiseMult(mode, mode)
+    return float(math.ulp(1.0) * tangent.getDiagonal().dot(square) / mode.dot(moved))
 
 
 def below_spectrum(

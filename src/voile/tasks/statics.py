@@ -90,6 +90,10 @@ def _tell(job: Run, path: Path) -> None:
         value = path.smallest_eigenvalue
         why = "" if value is None or math.isnan(value) else f", its smallest eigenvalue is {value:.3g} 1/s^2"
         said.append(f"the end state is an equilibrium but not stable{why}: disturbed, the shell leaves it")
+    if path.converged and path.stable and path.smallest_eigenvalue == 0.0:
+        said.append(
+            "the end state is a neutral equilibrium: a motion costs nothing, and round-off chose the place"
+        )
     if path.converged and path.stable is None:
         why = "" if job.scene.statics.stability else " (statics.stability = false)"
         said.append(f"whether the end state is stable was not tested{why}")

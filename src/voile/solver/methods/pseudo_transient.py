@@ -18,7 +18,7 @@ from voile.problem.contact import contact_of, leads_through
 from voile.problem.imperfection import perturb
 from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
-from voile.problem.scales import round_off, slow_rate
+from voile.problem.scales import round_off, slow_rate, strained_rate
 from voile.problem.state import State, difference
 from voile.solver.balance import slides
 from voile.solver.cascade import attempt
@@ -128,6 +128,8 @@ class _March:
         self.contact, self.start, self.driven = contact_of(problem), problem.save(y), _driven(problem)
         self.loads = max(problem.load_norm(y), tolerance / 1e-8)
         self.slow = slow_rate(problem) * _share(problem, y)
+        if not problem.load_norm(y):
+            self.slow = max(self.slow, strained_rate(problem, y))
         self.rate = (self.options.fresh_rate if self._fresh() else self.options.first_rate) * self.slow
         self.wait, self.pause, self.kicks, self.peak = 0, 1, 0, np.inf
         self.slips = not self.contact.moves  # what sticks has gone along with moving obstacles
