@@ -257,3 +257,22 @@ def test_the_energy_of_pressure_that_changes_within_free_cloth_does_not_depend_o
         at = problem.point(field_vector(problem, (now - start)[problem.part.vertex]))
         found.append(problem.loads.energies(at)["pressure"])
     assert found[0] == pytest.approx(found[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_moments_turn_their_edge_towards_the_normals(order):
+    """By M L^2 / 2 E I for a little one (docs/loads.md)."""
+    along, across = np.meshgrid(np.linspace(0.0, 1.0, 11), [0.0, 0.05], indexing="ij")
+    points = np.column_stack([along.ravel(), across.ravel(), np.zeros(along.size)])
+    cells = [[2 * i + k for k in corner] for i in range(10) for corner in ((0, 2, 3), (0, 3, 1))]
+    ends = [{"box": [[x - 1e-6, -1, -1], [x + 1e-6, 1, 1]]} for x in (0.0, 1.0)]
+    scene = {
+        "shell": {
+            "mesh": (points, np.array(cells)[:, ::order]),
+            **{"young": 1e8, "poisson": 0.0, "thickness": 1e-2, "density": 1.0},
+        },
+        "loads": {"gravity": [0, 0, 0], "moment": [{"select": ends[1], "value": 1e-3}]},
+        "fix": [{"select": ends[0], "clamp": True}],
+    }
+    tip = voile.run(voile.load(scene)).positions[-1, 2]
+    assert tip == pytest.approx(order * 1e-3 / (2.0 * 1e8 * 0.05 * 1e-6 / 12.0), rel=1e-2)
