@@ -24,9 +24,8 @@ class Assembly:
         self.unknown = np.concatenate([part.first_global + np.arange(part.owned), part.ghost_global])
         self.unknowns = int(comm.allreduce(part.owned))
         self.scatter: _kernels.Scatter
-        self.coupled = np.zeros(
-            0, dtype=np.int64
-        )  # ascending codes of the pairs of vertices that contacts couple
+        # ascending codes of the pairs of vertices that contacts couple
+        self.coupled: Ints = np.zeros(0, dtype=np.int64)
         self._places: int | None = None  # how many were coupled when `scatter`, which keeps places, was made
         self._combination: sp.csr_matrix | None = None
         self._bound = None

@@ -176,6 +176,15 @@ class Problem:
         """A matrix with the tangent's pattern; its values are written in place by `tangent`."""
         return self._assembly.create(self.kernel)
 
+    @property
+    def coupled(self) -> Ints:
+        """(k,) codes of the pairs of vertices that contacts have coupled so far, which matrices have room for."""
+        return self._assembly.coupled
+
+    def couple(self, codes: Ints) -> None:
+        """Gives matrices the pattern that they had with `coupled` pairs: the same digits take the same pattern."""
+        self._assembly.coupled = codes
+
     def local(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
         u, phi = self.shape(y)

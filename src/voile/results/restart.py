@@ -24,7 +24,7 @@ from voile.results.folder import RECORD
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-FORMAT = 5  # of the arrays
+FORMAT = 6  # of the arrays
 OF = "of"  # the array that says which run a set is of
 DAMAGED = OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error
 

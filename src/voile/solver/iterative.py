@@ -98,6 +98,10 @@ class Iterative(LinearSolver):
         krylov.setTolerances(rtol=exact, max_it=most)
         return bool(krylov.getConvergedReason() > 0)
 
+    def forget(self) -> None:
+        """See LinearSolver."""
+        self.direct.forget()
+
     def destroy(self) -> None:
         """Frees both factors."""
         self.krylov.destroy()

@@ -183,6 +183,9 @@ class LinearSolver:
             self.usable, self.negative = False, None
         return definite
 
+    def forget(self) -> None:
+        """Drops what former matrices have taught."""
+
     def aim(self, tolerance: float) -> None:
         """Told what norm (N) a nonlinear solve is to reach: iterations need not go far below."""
 
@@ -269,6 +272,10 @@ class Symmetric(LinearSolver):
         self.negative = 0 if self._definite else None
         self.ksp.setOperators(operator or matrix, matrix)
         return self._definite
+
+    def forget(self) -> None:
+        """See LinearSolver."""
+        self._doubtful = False
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """See LinearSolver."""

@@ -115,7 +115,7 @@ class ArcPath:
             place=point | {"reason": here.reason, "slope": here.slope, "negative": here.negative},
             lengths=[self.first, self.length, self.arc.psi],
         )
-        return said | packed_state(here.state) | {"direction": here.direction.array_r.copy()}
+        return said | packed_state(self.problem, here.state) | {"direction": here.direction.array_r.copy()}
 
     def _found(self, found: Arrays) -> PathPoint | None:
         """Where `_pause` was called."""

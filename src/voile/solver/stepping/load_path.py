@@ -148,7 +148,7 @@ class LoadPath:
 
     def _packed(self) -> Arrays:
         """What the path goes on from, between two steps."""
-        found = packed_state(self.problem.save(self.y))
+        found = packed_state(self.problem, self.problem.save(self.y))
         if self.went is not None:
             found |= {"went": self.went.array_r.copy(), "over": np.array(self.over)}
         return found | packed_path(self.path, control=vars(self.control) | {"options": None})

@@ -61,7 +61,8 @@ class NewtonStep:
 
     def __init__(self, problem: Problem, options: Options | None = None):
         self.work, self.options = InertialWorkspace(problem), options or Options()
-        descent, methods = Descent(self.work), list[Method]()
+        self.descent = descent = Descent(self.work)
+        methods: list[Method]
         if problem.contact:
             layers = problem.contact.itself is not None
             semismooth = Semismooth(
@@ -86,7 +87,9 @@ class NewtonStep:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method. In free flight a guess that is far better than the tolerance is taken as it is. What bears never
-        is: its stick is to be exact."""
+        is: its stick is to be exact. Nothing is left from former steps, or a run that goes on would end elsewhere."""
+        self.descent.iteration.forget()
+        self.work.symmetric.forget()
         contact = problem.contact
         if contact and problem.everywhere(not any(normal.any() for normal in contact.history.normal)):
             norm = float(np.hypot(*law_norms(problem, y, y.duplicate(), tolerance)))
