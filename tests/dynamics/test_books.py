@@ -6,6 +6,7 @@ from moving import Recorded, cloth, move
 from test_contact_in_time import on_slope
 from test_problem import sheet
 
+import voile
 from voile.contact.motion import Spell
 from voile.problem.damping import Air, Damping
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
@@ -146,3 +147,56 @@ def test_books_close_to_1e_8_whatever_the_tolerance(scheme):
         missed, largest = closing(run, 0.0)
         assert run.path.converged and abs(missed) < 1e-8 * largest
         assert run.path.counts.factorisations < 5 * run.path.count
+
+
+@pytest.mark.parametrize(
+    ("scheme", "asked"),
+    [(name, SchemeOptions()) for name in SCHEMES]
+    + [("moreau-jean", SchemeOptions(theta=0.5, keeps="nothing"))],
+)
+@pytest.mark.parametrize("stiffness", [0.0, 1e-4])
+def test_an_end_moment_works_by_what_its_edge_turns(scheme, asked, stiffness):
+    """A moment that grows and then acts bends a strip with much damping: in the end as at rest. Of its work a half is
+    stored, and what it works while it is whole is M times the turn."""
+    length, width, young, thickness = 0.1, 0.02, 2e9, 1e-3
+    rigidity, curvature, duration = young * thickness**3 / 12.0, 2.0, 0.2
+    points, triangles = sheet(10, 1, length, width)
+    scene = {
+        "scene": {"task": "dynamics"},
+        "shell": {
+            "mesh": (points, triangles),
+            "young": young,
+            "poisson": 0.0,
+            "thickness": thickness,
+            "density": 1000.0,
+        },
+        "loads": {
+            "gravity": [0.0, 0.0, 0.0],
+            "moment": [
+                {
+                    "select": {"nodes": np.flatnonzero(points[:, 0] > length - 1e-9)},
+                    "value": rigidity * width * curvature,
+                }
+            ],
+            "history": [[0.0, 0.0], [0.25 * duration, 1.0]],
+        },
+        "fix": [{"select": {"nodes": np.flatnonzero(points[:, 0] < 1e-9)}, "clamp": True}],
+        "dynamics": {
+            "scheme": scheme,
+            "time_step": 1e-3,
+            "duration": duration,
+            "theta": asked.theta,
+            "keeps": asked.keeps,
+            "damping": {"mass": 200.0, "stiffness": stiffness},
+        },
+    }
+    result = voile.run(scene)
+    energy, bent = result.summary["dynamics"]["energy"], 0.5 * rigidity * width * length * curvature**2
+    assert energy["bending"] == pytest.approx(bent, rel=1e-3)
+    assert result.positions[-1, 2] == pytest.approx((1.0 - np.cos(curvature * length)) / curvature, rel=1e-3)
+    given = result.history["loads_work"][-1]
+    assert bent < given < 1.3 * bent  # as slowly as that
+    assert abs(energy["scheme_dissipated"]) < 0.04 * given
+    assert given == pytest.approx(
+        energy["bending"] + energy["damping_dissipated"] + energy["scheme_dissipated"], rel=1e-3
+    )

@@ -125,9 +125,12 @@ class Books:
         problem, at = forces.problem, step.at
         start = between(forces.start, at, 0.0)
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
+        turned = (at.phi - forces.start.phi) / (
+            1.0 - forces.first
+        )  # of directors that follow at every instant
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         clamps, damped = map(float, problem.comm.allreduce(np.array(forces.clamp_work(at))))
-        work = {name: self._work(force, way) for name, force in step.acting.items()}
+        work = {name: self._work(force, way, turned) for name, force in step.acting.items()}
         moved = self._sum((step.inertia * way).sum(axis=1))
         gained = self.kinetic(step.after) - self.kinetic(before)
         stored = self._elastic(at) - self._elastic(start)
@@ -176,9 +179,11 @@ class Books:
         residual.array[:] = problem.layout.collect(step.lacking)
         return float(residual.dot(free))
 
-    def _work(self, force: Reals, way: Reals) -> float:
-        """Of a force (dofs,) N over the vertices' way (n, 3) m."""
-        return self._sum((force[: way.size].reshape(-1, 3) * way).sum(axis=1))
+    def _work(self, force: Reals, way: Reals, turned: Reals) -> float:
+        """Of a force (dofs,) N over the vertices' way (n, 3) m, and what directors have turned (edges,) rad."""
+        moment, edges = force[way.size :], self.problem.part.owned_edges
+        by_moments = self.problem.comm.allreduce(float(moment[edges] @ turned[edges]))
+        return self._sum((force[: way.size].reshape(-1, 3) * way).sum(axis=1)) + by_moments
 
     def _sum(self, values: Reals) -> float:
         """Over all vertices."""

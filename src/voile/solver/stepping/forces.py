@@ -42,14 +42,15 @@ class StepForces:
         self.lag_work = 0.0
         self.late, dead = problem.loads, self.lag
         self.early = early * problem.loads.forces(self.start) if early else dead
-        if early:
-            self.late, dead = problem.loads.scaled(1.0 - early), dead + self.early
         self.began = np.zeros_like(self.lag)
         if self.first:  # directors follow at every instant
             count = problem.layout.vertices
+            self.early[count:] = 0.0
             terms = (problem.elastic, *problem.springs)
             self.began[:count] = self.first * sum(term.forces(self.start)[:count] for term in terms)
             dead = dead + self.began
+        if early:
+            self.late, dead = problem.loads.scaled(1.0 - early), dead + self.early
         damped = self.elastic
         if self.share:
             self.lag = self.share * problem.elastic.forces(self.start)
