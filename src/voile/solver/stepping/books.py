@@ -182,7 +182,7 @@ class Books:
     def _work(self, force: Reals, way: Reals, turned: Reals) -> float:
         """Of a force (dofs,) N over the vertices' way (n, 3) m, and what directors have turned (edges,) rad."""
         moment, edges = force[way.size :], self.problem.part.owned_edges
-        by_moments = self.problem.comm.allreduce(float(moment[edges] @ turned[edges]))
+        by_moments = float(self.problem.comm.allreduce(float(moment[edges] @ turned[edges])))
         return self._sum((force[: way.size].reshape(-1, 3) * way).sum(axis=1)) + by_moments
 
     def _sum(self, values: Reals) -> float:
