@@ -52,3 +52,10 @@ def triangle_areas(points: Reals, triangles: Ints) -> Reals:
 def triangle_sides(triangles: Ints) -> Ints:
     """(3m, 2) ascending vertices of the sides of triangles (m, 3), one triangle's after the other's."""
     return np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+
+
+def border_sides(triangles: Ints) -> Ints:
+    """(k, 2) ascending vertices of the sides that belong to one triangle alone."""
+    sides, times = np.unique(triangle_sides(triangles), axis=0, return_counts=True)
+    found: Ints = sides[times == 1]
+    return found

@@ -110,7 +110,7 @@ def one_vertex(
         x = x + dx
         linear.reactions(1.0)
         force = contact.reactions(x, 1.0)
-        if np.linalg.norm(stiffness @ x[0] - push - force[0]) + contact.mismatch(x, 1.0) < 1e-12:
+        if np.linalg.norm(stiffness @ x[0] - push - force[0]) + contact.missed(contact.pairs(x, 1.0)) < 1e-12:
             return x[0], force[0], iteration
     raise AssertionError("the equations did not converge")
 
@@ -147,8 +147,8 @@ def test_a_point_pulled_away_opens():
 def test_sharp_norms_take_no_larger_rho():
     """A gap that only round-off opens counts with `sharp` in norms, with rho in the laws."""
     contact, x = touching(0.3)
-    firm = contact.mismatch(x, 1.0)
+    firm = contact.missed(contact.pairs(x, 1.0))
     pairs = contact.measured_pairs(x, 1.0, 0.01 * STIFFNESS)
     assert pairs[0].rho == 0.01 * STIFFNESS
     assert contact.missed(pairs) < 0.1 * firm
-    assert contact.rho(0) == STIFFNESS and contact.mismatch(x, 1.0) == firm
+    assert contact.rho(0) == STIFFNESS and contact.missed(contact.pairs(x, 1.0)) == firm

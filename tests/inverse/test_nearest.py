@@ -65,7 +65,13 @@ def neighbours(kind):
     assert beside.linearise(place) and beside.settle(place)
     gradient = beside.moves.still()
     gradient.s.axpy(1.0, beside.moves.weigh(wave(target, 0.3, 2e-5)))
-    return beside, place, beside.moves.steepest([gradient])[0]
+    return beside, place, steepest(beside.moves, gradient)
+
+
+def steepest(moves, gradient):
+    """The move along a gradient that is steepest for its length in ds."""
+    s = moves.metric_factor.solve(moves._reduced(gradient.s.array_r[:, None], gradient.z.array_r[:, None]))
+    return moves.move(s[:, 0], moves._answer(s)[:, 0])
 
 
 @pytest.mark.parametrize("kind", ["average", "tan", "contact"])

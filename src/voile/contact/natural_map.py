@@ -281,12 +281,9 @@ class NaturalMap:
         g = p.geometry
         return self.partners[p.index].least(g.vertex[chosen], g.weight[chosen], values[chosen])
 
-    def mismatch(self, x: Reals, t: float) -> float:
-        """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs: zero where the laws hold."""
-        return self.missed(self.pairs(x, t))
-
     def missed(self, pairs: list[Pairs]) -> float:
-        """`mismatch` of all pairs at some positions."""
+        """Sum of |r - projected trial reaction|^2 (N^2) over this rank's pairs, all at some positions: zero where the
+        laws hold."""
         s, total = self.history, 0.0
         held = [normal != 0.0 for normal in s.normal]
         for p in pairs:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import eigvalsh
 from scipy.sparse.linalg import splu
 
-from voile.arrays import Flags, Ints, Reals, triangle_areas, triangle_sides
+from voile.arrays import Flags, Ints, Reals, border_sides, triangle_areas, triangle_sides
 from voile.elastic.evaluate import evaluate
 
 DIRECTIONS = 6  # of 180 degrees
@@ -96,9 +96,8 @@ class FlatMesh:
 
 def _inside(triangles: Ints, count: int) -> Flags:
     """(n,) marks the vertices that no edge joins to the border."""
-    edges, times = np.unique(triangle_sides(triangles), axis=0, return_counts=True)
-    border = np.zeros(count, dtype=bool)
-    border[edges[times == 1]] = True
+    border, sides = np.zeros(count, dtype=bool), triangle_sides(triangles)
+    border[border_sides(triangles)] = True
     near = border.copy()
-    near[edges[border[edges].any(axis=1)]] = True
+    near[sides[border[sides].any(axis=1)]] = True
     return ~near

@@ -182,11 +182,6 @@ class Moves:
             )
         return s, z
 
-    def steepest(self, gradients: list[Move]) -> list[Move]:
-        """The move along each gradient that is steepest for its length in ds."""
-        s = self.metric_factor.solve(self._reduced(*_stacked(gradients)))
-        return [self.move(*pair) for pair in zip(s.T, self._answer(s).T, strict=True)]
-
     def move(self, s: Reals, z: Reals) -> Move:
         """Of columns (own,)."""
         move = self.still()

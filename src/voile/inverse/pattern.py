@@ -52,7 +52,7 @@ def make_pattern(
         mirrors = tuple(partners(panels, mirror))
         even, moved = symmetrised(panels, flat.coordinates, mirror)
         flat = replace(flat, coordinates=even)  # ease is then that of the panels as they are cut
-        rules = mirrored_rules(panels, rules, mirror)
+    rules = mirrored_rules(panels, rules)
     flat = add_ease(flat, rules.seams)
     x = flat.coordinates.copy()
     for k, along in enumerate(grains(flat, grain, rules.panels)):

@@ -166,10 +166,13 @@ def _upright(x: Reals, mirror: Ints) -> Reals:
     return found
 
 
-def mirrored_rules(panels: Panels, rules: Rules, mirror: Ints) -> Rules:
-    """The rules with their mirror images, each before what it comes from: the last one counts. What is said of a panel
-    or seam by its own name counts over what its mirror image says. Raises InputError for ease that differs from that of
-    the mirror image."""
+def mirrored_rules(panels: Panels, rules: Rules) -> Rules:
+    """The rules with their mirror images, where they ask for symmetry, each before what it comes from: the last one
+    counts. What is said of a panel or seam by its own name counts over what its mirror image says. Raises InputError
+    for ease that differs from that of the mirror image, and as `mirror_map`."""
+    if rules.symmetric is None:
+        return rules
+    mirror = mirror_map(panels, rules.symmetric)
     names, others = panels.names, partners(panels, mirror)
     flip = np.where(np.arange(3) == rules.symmetric, -1.0, 1.0)
 

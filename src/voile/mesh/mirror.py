@@ -6,7 +6,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from voile.arrays import Flags, Ints, Reals, triangle_areas, triangle_sides
+from voile.arrays import Flags, Ints, Reals, border_sides, triangle_areas, triangle_sides
 from voile.errors import InputError
 from voile.mesh.raw import RawMesh
 
@@ -109,9 +109,8 @@ def _crossed(triangles: Ints, d: Reals) -> Flags:
 
 def _ends_at(triangles: Ints, on: Flags) -> Flags:
     """(n,) marks the vertices of border edges whose ends are both on the plane."""
-    edges, times = np.unique(triangle_sides(triangles), axis=0, return_counts=True)
-    found = np.zeros(len(on), dtype=bool)
-    found[edges[(times == 1) & on[edges].all(axis=1)]] = True
+    found, sides = np.zeros(len(on), dtype=bool), border_sides(triangles)
+    found[sides[on[sides].all(axis=1)]] = True
     return found
 
 

@@ -1,8 +1,9 @@
 """What a load path is: its options, its steps and its outcome."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from petsc4py import PETSc
 
@@ -83,6 +84,22 @@ class Path:
     smallest_eigenvalue: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     blurred: tuple[LoadStep, State] | None = None
+    supporting: ClassVar[None] = None  # what supports exert at rest
+
+    @property
+    def time(self) -> float:
+        """The load factor at its end."""
+        return self.last.factor if self.last else 0.0
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What summaries tell of load paths only."""
+        value = self.smallest_eigenvalue
+        return {
+            "load_factor": self.time,
+            "stable": self.stable,
+            "smallest_eigenvalue": None if value is None or math.isnan(value) else value,
+        }
 
     @property
     def last(self) -> LoadStep | None:

@@ -81,6 +81,11 @@ class TimePath:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
+    def figures(self) -> dict[str, Any]:
+        """What summaries tell of it as of a load path: nothing, tasks tell theirs."""
+        return {}
+
+    @property
     def count(self) -> int:
         """Steps done."""
         return len(self.methods)

@@ -104,8 +104,7 @@ def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
         return
     panels = _cut(model, shell, shell.points)
     check_rules(panels, rules.panels, rules.seams)
-    if rules.symmetric is not None:
-        mirrored_rules(panels, rules, mirror_map(panels, rules.symmetric))
+    mirrored_rules(panels, rules)
 
 
 def evenly(flat: FlatPanels | None, scene: Scene, comm: "MPI.Comm") -> Callable[[Reals], Reals] | None:
@@ -130,13 +129,9 @@ def gathered_in(
     if not any(seam.ease for seam in scene.pattern.seam):
         return None
 
-    def rules_of(flat: FlatPanels, model: Model) -> Rules:
-        rules = wishes(scene, model)
-        if rules.symmetric is None:
-            return rules
-        return mirrored_rules(flat.panels, rules, mirror_map(flat.panels, rules.symmetric))
-
-    rules = on_root(comm, lambda: rules_of(flat, model) if flat and model else None)
+    rules = on_root(
+        comm, lambda: mirrored_rules(flat.panels, wishes(scene, model)) if flat and model else None
+    )
 
     def ease(x: Reals) -> Reals:
         longer = on_root(comm, lambda: add_ease(moved(flat, x), rules.seams) if flat and rules else None)

@@ -177,10 +177,8 @@ class Run:
         is none or nothing computed. Collective."""
         if path.last is None:
             return {"supports": []}
-        at = problem.at(path.last.factor if isinstance(path.last, LoadStep) else path.last.time)
-        model, y = self.model, path.state
-        given = path.supporting if isinstance(path, TimePath) else None
-        found: dict[str, Any] = {"supports": self.supports(at, y, given)}
+        at, model, y = problem.at(path.time), self.model, path.state
+        found: dict[str, Any] = {"supports": self.supports(at, y, path.supporting)}
         shell = model.shell if model else None
         if self.scene.section:
             found["sections"] = section_table(at, y, shell, model.sections if model else ()) or []
@@ -229,7 +227,7 @@ class Run:
             "energy": last.energies if last else {},
             "contact": (last.contact if last else None) or NO_CONTACT,
             "method": path.methods,
-            **(_of_statics(path) if isinstance(path, LoadPath) else {}),
+            **path.figures,
             "wall_time_s": {**seconds, "total": time.perf_counter() - self.began},
             "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
             "ranks": problem.comm.size,
@@ -260,16 +258,6 @@ class Run:
             "modelled": [name for name, keep, _ in modelled(self.scene, self.model) if keep],
             "notes": self.model.notes,
         }
-
-
-def _of_statics(path: LoadPath) -> dict[str, Any]:
-    """What only a load path has."""
-    value = path.smallest_eigenvalue
-    return {
-        "load_factor": path.last.factor if path.last else 0.0,
-        "stable": path.stable,
-        "smallest_eigenvalue": None if value is None or math.isnan(value) else value,
-    }
 
 
 class Steps:
