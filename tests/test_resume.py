@@ -1,10 +1,12 @@
 """`voile run --resume`: what is killed goes on from its last complete step, and ends as if nothing had been."""
 
+import shutil
 import signal
 import subprocess
 import sys
 import time
 
+import h5py
 import numpy as np
 import pytest
 from campaign_sources import STRIP
@@ -158,3 +160,43 @@ def test_resume_starts_anew_where_nothing_is_kept_and_refuses_what_is_not_its_ow
         set_of_one.write_bytes(broken)
         assert main(["run", str(scene), "-o", str(out), "--resume", *short]) == 2
         assert "damaged" in capsys.readouterr().err
+
+
+def test_no_run_goes_on_in_a_damaged_folder(write, tmp_path, capsys):
+    """A damaged result gets no further steps, and `last` is said to be what is damaged."""
+    scene, whole, out = write("load"), tmp_path / "whole", tmp_path / "out"
+    killed(scene, whole, 2)
+
+    def refused(name, change):
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(whole, out)
+        change(out / name)
+        data = (out / name).read_bytes()
+        capsys.readouterr()
+        assert main(["run", str(scene), "-o", str(out), "--resume"]) == 2
+        said = capsys.readouterr().err
+        assert "damaged" in said and str(out / name) in said
+        assert (out / name).read_bytes() == data
+
+    def misplace(path):
+        with h5py.File(path, "r+") as file:
+            file["VTKHDF/Connectivity"][0] = 1 << 20
+
+    def overwrite(path):  # the table of VTK's offsets, which no reader of ours asks for
+        with h5py.File(path) as file:
+            place = h5py.h5o.get_info(file["VTKHDF/Steps/PointOffsets"].id).addr
+        data = path.read_bytes()
+        path.write_bytes(data[:place] + 16 * b"\xff" + data[place + 16 :])
+
+    for change in (misplace, overwrite):
+        refused("result.vtkhdf", change)
+    for last in (b"2x1 6\n", b"\xf7 1 6\n", b"2 1 6\n2 1 6\n"):
+        refused("restart/last", lambda path, last=last: path.write_bytes(last))
+    (arrays,) = (path.name for path in (whole / "restart").glob("*.npz"))
+
+    def repack(path):  # in a way that no one knows
+        data = path.read_bytes()
+        place = data.index(b"PK\x01\x02") + 10
+        path.write_bytes(data[:place] + b"\x63" + data[place + 1 :])
+
+    refused(f"restart/{arrays}", repack)

@@ -53,6 +53,16 @@ def result_file(path: str | os.PathLike[str]) -> Path:
     return path / "result.vtkhdf" if path.is_dir() else path
 
 
+def look_through(path: Path) -> None:
+    """Reads a result once, but of its steps the last one alone. Raises InputError where it is damaged."""
+    with read_result(path) as result, intact(path):
+        _ = result.triangles, result.start, result.rest_triangles, result.edges
+        _ = result.placements(), result.restart()
+        for name in (*result.point_fields, *result.cell_fields):
+            result.field(name)
+        result.visit()
+
+
 @contextmanager
 def opened(result: str | os.PathLike[str] | Result) -> Iterator[Result]:
     """A result that is open already, or the one at a path, which is closed afterwards."""
@@ -130,6 +140,10 @@ class Result:
     def close(self) -> None:
         """Closes the file; arrays that were read stay."""
         self._file.close()
+
+    def visit(self) -> None:
+        """Meets all objects of the file, also those that only others read."""
+        self._file.visititems(lambda *_: None)
 
     @cached_property
     def triangles(self) -> Ints:

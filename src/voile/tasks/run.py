@@ -24,6 +24,7 @@ from voile import blas
 from voile.arrays import Array
 from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
+from voile.errors import on_root
 from voile.explain import modelled
 from voile.petsc_options import unused_options
 from voile.problem.contact import contact_fields, shell_layers, with_obstacles
@@ -34,6 +35,7 @@ from voile.problem.stress_fields import shell_fields
 from voile.problem.support_forces import Supporting, support_forces, support_table
 from voile.results import ResultWriter, StaticMesh, write_summary
 from voile.results.folder import RESULT, SUMMARY, set_aside
+from voile.results.reader import look_through
 from voile.results.restart import Restarts
 from voile.results.writer import CAPACITY
 from voile.scene import Scene
@@ -156,13 +158,16 @@ class Run:
         self, mesh: StaticMesh | None, numbered: bool = False, room: int = CAPACITY
     ) -> Iterator[ResultWriter]:
         """The result file; numbered: its values may fall; room: for how many steps at first."""
+        path, goes_on = self.folder / RESULT, int(self.found.get(STORED, 0))
+        if goes_on and path.is_file():
+            on_root(self.comm, lambda: look_through(path))
         with ResultWriter(
-            self.folder / "result.vtkhdf",
+            path,
             self.comm,
             mesh=mesh,
             scene_text=self.scene.text,
             versions=versions(),
-            goes_on=int(self.found.get(STORED, 0)),
+            goes_on=goes_on,
             gather=not self.lasting,
             numbered=numbered,
             room=room,
