@@ -195,6 +195,10 @@ dynamics = { time_step = 0.02, duration = 0.2 }
             '[[point]]\nname = "p"\nselect = { all = true }\nof = "reaction"\n[vary]\nrefine=[0]',
             ("point.0.of", "obstacle"),
         ),
+        (
+            '[[point]]\nname = "energy"\nselect = { all = true }\n[vary]\nrefine=[0]',
+            ("point.0.name", '"energy" is a figure', "another name"),
+        ),
         ("[varry]\nrefine = [0]", ("varry", "unknown key", '"vary"')),
     ],
 )
@@ -221,6 +225,11 @@ def test_bad_studies(text, words, study, tmp_path):
             'measure = "tip"\nreference = 1.0',
             ("line 3: study.measure", 'no run has "tip"', "max_displacement"),
         ),
+        (
+            'measure = "supports.1.force.2"\nreference = 1.0',
+            ("study.measure", "has 1 [[fix]]", "supports.0 to supports.0"),
+        ),
+        ('measure = "sections.0.force.2"\nreference = 1.0', ("study.measure", "has 0 [[section]]")),
         ('measure = "contact.activ"\nreference = 1.0', ("study.measure", '"contact.active"')),
         ('measure = "dynamics.time"\nreference = 1.0', ("study.measure", "no run has")),
         ("measure = []\nreference = 1.0", ("study.measure", "length 0")),
@@ -241,6 +250,19 @@ def test_forces_of_supports_are_measures(study, tmp_path):
     assert only["error"] < 1e-7  # the clamp carries the weight
     path.write_text(path.read_text().replace("supports", "support"))
     refused(voile("study", path, "-o", tmp_path / "out"), 'no run has "support.0.force.2"', "supports.*")
+
+
+def test_tables_of_other_tasks_change_nothing(study, tmp_path):
+    """Time steps of a scene at rest are no variants; lines of rates tell their series, also without a reference."""
+    vary = (
+        '[vary]\n"dynamics.time_step" = [0.1, 0.2, 0.3]\nrefine = [0, 1]\n"shell.bending" = ["tan", "sin"]\n'
+    )
+    path = study(f'{HEAD}measure = "energy"\nreference = "extrapolate"\n{vary}')
+    run = voile("study", path, "-o", tmp_path / "out")
+    assert run.returncode == 0 and "energy over refine (shell.bending=sin)" in run.stdout
+    rows = table(tmp_path / "out")
+    assert len(rows) == 4 and {row["dynamics.time_step"] for row in rows} == {""}
+    assert not any("time step" in row["changes"] for row in rows)
 
 
 def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):

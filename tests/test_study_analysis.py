@@ -276,6 +276,7 @@ def test_what_cannot_start_runs_is_refused(monkeypatch):
     for given, words in (
         ("no-such-mpirun -n {ranks}", "is not on the PATH"),
         ("srun '", "No closing quotation"),
+        ("env -n {rank}", "{rank} stands for nothing"),
     ):
         with pytest.raises(InputError, match=f"study.launcher: .*{words}"):
             launcher(given, 2)

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -267,6 +268,8 @@ def launcher(given: str, ranks: int) -> list[str]:
             words = shlex.split(given.replace("{ranks}", str(ranks)))
         except ValueError as error:
             raise InputError(f"study.launcher: {given}: {error}") from None
+        if unknown := re.search(r"\{\w*\}", given.replace("{ranks}", "")):
+            raise InputError(f"study.launcher: {given}: {unknown[0]} stands for nothing; allowed: {{ranks}}")
         if words and shutil.which(words[0]) is None:
             raise InputError(f"study.launcher: {words[0]} is not on the PATH; allowed: a program that is")
         return words
@@ -299,7 +302,8 @@ def _wait(child: subprocess.Popen[bytes], limit: float) -> tuple[int, float]:
 
 def _last_line(log: Path, code: int) -> str:
     """What a process said last, without the program's name."""
-    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    lines = log.read_text(errors="replace").splitlines()
+    lines = [line for line in lines if any(sign.isalnum() for sign in line)]  # mpirun draws lines, too
     if code < 0:
         return f"ended by signal {-code} ({signal.Signals(-code).name})"
     return lines[-1].removeprefix("voile: ") if lines else f"exit code {code}"

@@ -29,6 +29,7 @@ FIGURES: dict[str, tuple[str, ...] | None] = {
     "contact": _CONTACT,
     **dict.fromkeys(("contact.obstacles", "supports", "sections", "wall_time_s")),
 }
+TABLES = {"supports": "fix", "sections": "section"}  # figures of each of these tables of a scene
 OF_TASK: dict[str, dict[str, tuple[str, ...] | None]] = {
     "statics": {"load_factor": (), "smallest_eigenvalue": (), "limit_points": None, "bifurcations": None},
     "dynamics": {"dynamics": None},
@@ -61,7 +62,11 @@ def find_measures(
     surface, tasks = surface_of(scene), _tasks(study, scene)
     touches = scene.obstacle or scene.contact.self_contact
     touches = touches or any(name.startswith(("obstacle", "contact")) for name in study.names)
+    known = FIGURES | {name: below for task in tasks for name, below in OF_TASK[task].items()}
     for k, point in enumerate(study.point):
+        if _is_figure(point.name, known):
+            problem = f'"{point.name}" is a figure of all runs; allowed: another name'
+            raise refuse(problem, ("point", k, "name"))
         at: KeyPath = ("point", k, "of")
         if point.of == "velocity" and "dynamics" not in tasks:
             raise refuse(f'"velocity" with task = {scene.scene.task}; allowed with task = dynamics', at)
@@ -71,13 +76,20 @@ def find_measures(
             _selected(surface, point)
         except InputError as error:
             raise refuse(str(error).partition("select: ")[2] or str(error), ("point", k, "select")) from None
-    known = FIGURES | {name: below for task in tasks for name, below in OF_TASK[task].items()}
     for name in study.study.measures:
         if name not in points and not _is_figure(name, known):
             allowed = [*points, DISPLACEMENT, *_dotted(known)]
             close = difflib.get_close_matches(name, allowed, n=1)
             hint = f' (did you mean "{close[0]}"?)' if close else ""
             raise refuse(f'no run has "{name}"{hint}; allowed: {", ".join(allowed)}', ("study", "measure"))
+        head, _, tail = name.partition(".")
+        number, count = tail.partition(".")[0], len(getattr(scene, TABLES.get(head, ""), ()))
+        if head in TABLES and not (number.isdecimal() and int(number) < count):
+            problem = f'no run has "{name}": {scene.path} has {count} [[{TABLES[head]}]]'
+            raise refuse(
+                f"{problem}; allowed: {head}.0 to {head}.{count - 1}" if count else problem,
+                ("study", "measure"),
+            )
     return tuple(Measure(name, points.get(name)) for name in study.study.measures)
 
 

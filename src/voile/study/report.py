@@ -11,7 +11,7 @@ from voile.study.analysis import Choice, Findings, Row
 from voile.study.execute import CONVERGED, Runs
 from voile.study.schema import EXTRAPOLATE, Known
 from voile.study.series import Series
-from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, plain
+from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, plain, told
 
 PARTS = (MODEL, DISCRETE, TIME, ITERATION)
 DIGITS = 9  # of values in the table, and decimals of errors over the reference: what residuals leave of them
@@ -237,10 +237,8 @@ def _rate_lines(findings: Findings) -> list[str]:
             else "no rate of its own"
         )
         to = "" if rate is None else f"; {rate:.2f} to the reference"
-        others = ", ".join(
-            f"{n}={v}" for n, v in _jsonable(s.settings).items() if n in findings.varied and v is not None
-        )
-        lines.append(f"{s.measure} over {s.along}{f' ({others})' if others else ''}: {own}{to}")
+        of = {n: v for n, v in _jsonable(s.settings).items() if n in findings.plan.varied and v is not None}
+        lines.append(f"{s.measure} over {s.along}{f' ({told(of)})' if of else ''}: {own}{to}")
     return lines
 
 
@@ -256,7 +254,7 @@ def _advice(findings: Findings) -> list[str]:
         for name, value, other in choices[0].others:
             ratio = (other.seconds or 0.0) / max(seconds, 1e-9)
             lines.append(
-                f"    {name} = {plain(value)} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
+                f"    {told({name: plain(value)})} instead: error {other.error:.1e}, {ratio:.2g} times the seconds"
             )
     return lines
 

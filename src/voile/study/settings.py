@@ -58,6 +58,7 @@ TAKEN: dict[str, Callable[[Scene], bool]] = {
     "dynamics.spectral_radius": lambda scene: scene.dynamics.scheme == "generalized-alpha",
     "dynamics.theta": lambda scene: scene.dynamics.scheme == "moreau-jean",
 }
+TASKS = "dynamics", "modes", "inverse"  # tables of one task, of which others make nothing
 
 
 def full(name: str) -> str:
@@ -149,13 +150,19 @@ def taken(scene: Scene | Problem) -> Scene | Problem:
             table, key = name.split(".")
             bare = dataclasses.replace(getattr(scene, table), **{key: None})
             scene = dataclasses.replace(scene, **{table: bare})
-    return scene
+    idle: dict[str, Any] = dict.fromkeys(task for task in TASKS if task != scene.scene.task)
+    return dataclasses.replace(scene, **idle)
 
 
 def different(one: Settings, other: Settings) -> list[str]:
     """The settings that differ, of those that both make something of."""
-    idle = [name for name in TAKEN if None in (one.get(name), other.get(name))]
+    names = [*TAKEN, *(n for n in one if n.split(".")[0] in TASKS)] if _tasks_differ(one, other) else TAKEN
+    idle = [name for name in names if None in (one.get(name), other.get(name))]
     return [name for name in one if name not in idle and repr(one[name]) != repr(other[name])]
+
+
+def _tasks_differ(one: Settings, other: Settings) -> bool:
+    return bool(one.get("scene.task") != other.get("scene.task"))
 
 
 def plain(value: Any) -> Any:
