@@ -163,6 +163,7 @@ def test_a_rest_shape_and_a_body_of_arrays():
         ("shell", "mesh", "none.obj", "none.obj: no such mesh file"),
         ("shell", "mesh", (np.zeros((3, 3)), np.zeros((1, 3))), r"shell.mesh: triangles of shape \(1, 3\), float64"),
         ("shell", "mesh", (np.zeros((3, 4)), np.zeros((1, 3), int)), r"shell.mesh: points of shape \(3, 4\)"),
+        ("shell", "mesh", (np.eye(3) + 0j, np.array([[0, 1, 2]])), "shell.mesh: points are complex"),
         ("shell", "mesh", (np.eye(3), np.array([[0, 1, 3]])), "mesh of arrays: triangle 0 .* vertex out of range"),
         ("shell", "mesh", (np.nan * np.eye(3), np.array([[0, 1, 2]])), "mesh of arrays: vertex 0 is .* not finite"),
         ("loads", "gravity", np.zeros(2), "scene: loads.gravity: .* has length 2"),
@@ -184,8 +185,16 @@ def test_bad_overrides_options_and_results_are_refused(tmp_path):
         voile.load(cantilever(), {"shell.mesh": {1}})
     with pytest.raises(voile.InputError, match="'snes_monitor' is neither an option"):
         voile.run(cantilever(), petsc=["snes_monitor"])
+    with pytest.raises(voile.InputError, match="'-snes_monitor' is one text; allowed: a list"):
+        voile.run(cantilever(), petsc="-snes_monitor")
     with pytest.raises(voile.InputError, match="no such result file"):
         voile.read(tmp_path)
+
+
+def test_the_scene_of_a_result_may_be_a_dict(tmp_path):
+    made = voile.run(cantilever(), tmp_path / "out")
+    read = voile.read(tmp_path / "out", cantilever())
+    np.testing.assert_array_equal(read.field("von_mises"), made.field("von_mises"))
 
 
 def test_overrides_may_be_meshes():

@@ -279,10 +279,14 @@ def solve(
     return failure
 
 
-def read(result: str | os.PathLike[str], scene: Scene | None = None) -> Result:
-    """The result in a folder, or of a file `result.vtkhdf`. scene: that of the run, which section forces and stresses
-    are computed with afterwards; needed where its files have moved, or its meshes were arrays. Raises InputError where
-    there is none."""
+def read(
+    result: str | os.PathLike[str],
+    scene: Scene | str | os.PathLike[str] | Mapping[str, Any] | None = None,
+) -> Result:
+    """The result in a folder, or of a file `result.vtkhdf`. scene: that of the run, or what `load` takes, which section
+    forces and stresses are computed with afterwards; needed where its files have moved, or its meshes were arrays.
+    Raises InputError where there is none."""
+    scene = scene if scene is None or isinstance(scene, Scene) else load(scene)
     path = result_file(result)
     file = open_result(path)
     beside = path.with_name("summary.json")

@@ -87,6 +87,8 @@ def _pairs(words: Sequence[str]) -> Iterator[tuple[str, str | None]]:
 
 def check_words(arguments: Sequence[str]) -> None:
     """Raises InputError for a word that is neither an option nor the value of one: PETSc would pass over it."""
+    if isinstance(arguments, str):
+        raise InputError(f"PETSc options: {arguments!r} is one text; allowed: a list of its words")
     for before, word in pairwise(("", *arguments)):
         if not _is_option(word) and not _is_option(before):
             raise InputError(

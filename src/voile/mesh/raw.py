@@ -54,6 +54,8 @@ class RawMesh:
 
 def mesh_of_arrays(points: Reals, triangles: Ints) -> RawMesh:
     """The mesh of points (n, 2 or 3) and triangles (m, 3), vertices counted from 0. Raises ValueError for others."""
+    if np.iscomplexobj(points):
+        raise ValueError("points are complex; real numbers expected")
     points = np.array(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"points of shape {points.shape}; (n, 3) expected")
