@@ -74,6 +74,19 @@ def test_holes_are_filled_only_when_asked(tmp_path):
     assert abs(volume) == pytest.approx(4 / 3 * np.pi, rel=0.06)
 
 
+def test_triangles_that_hang_on_no_other_are_told(tmp_path):
+    """A soup whose corners differ by 1e-4 of its size: more is to be welded, and the report says how much."""
+    uv, triangles = generator("patterns").grid(4, 4)
+    corners = np.column_stack([uv, np.zeros(len(uv))])[triangles].reshape(-1, 3)
+    corners += 1e-4 * np.random.default_rng(0).uniform(size=corners.shape)
+    write_obj(tmp_path / "soup.obj", corners, np.arange(len(corners)).reshape(-1, 3))
+    surface, report = mended(tmp_path / "soup.obj", "--fill-holes", "4")
+    assert report["left"][0].startswith("32 triangles hang on no other") and "(--weld)" in report["left"][0]
+    within = float(report["left"][0].split("within ")[1].split()[0])
+    surface, report = mended(tmp_path / "soup.obj", "--weld", str(3.0 * within))
+    assert len(surface.points) == len(uv) and not any("hang" in left for left in report["left"])
+
+
 def _stl(folder):
     pyvista = pytest.importorskip("pyvista")
     ball = pyvista.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)

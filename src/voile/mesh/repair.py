@@ -54,6 +54,7 @@ def repair(raw: RawMesh, options: RepairOptions) -> Repair:
     orient(work)
     come_apart(work)
     _drop_pieces(work, options.drop_pieces)
+    _tell_loose(work)
     _fill(work, options.fill_holes)
     _compact(work)
     return work
@@ -174,6 +175,21 @@ def _drop_pieces(work: Repair, least: int) -> None:
     large = np.bincount(patch) >= least
     work.count(f"pieces of fewer than {least} triangles dropped", np.count_nonzero(~large))
     work.keep(f"triangles of pieces of fewer than {least} triangles dropped", large[patch])
+
+
+def _tell_loose(work: Repair) -> None:
+    """Triangles that nothing joins to others, as of a scan whose corners differ in their last digits."""
+    m = work.mesh
+    patch, sewn = patches(m.triangles), np.zeros(len(m.points), dtype=bool)
+    if m.stitch_vertices is not None:
+        sewn[m.stitch_vertices] = True
+    loose = m.triangles[(np.bincount(patch)[patch] == 1) & ~sewn[m.triangles].any(axis=1)]
+    if not len(loose) or len(m.triangles) == 1:
+        return
+    others = cKDTree(m.points[np.unique(m.triangles)])
+    share = float(np.median(others.query(m.points[loose.ravel()], 2)[0][:, 1])) / size_of(m)
+    work.left.append(f"{len(loose)} triangles hang on no other; half of their corners "
+                     f"are within {share:.1g} of the size of another's (--weld)")  # fmt: skip
 
 
 def _fill(work: Repair, most: int) -> None:
