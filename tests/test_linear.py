@@ -1,4 +1,4 @@
-"""Direct solvers of symmetric systems: which one factors what, and what they say of a matrix."""
+"""Direct solvers: which one factors what, and what they say of a matrix."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _projective
-from voile.solver.linear import Counts, LinearSolver, symmetric
+from voile.solver.linear import Counts, LinearSolver, symmetric, unsymmetric
 
 SIDE = 20
 
@@ -81,6 +81,43 @@ def test_factors_start_no_threads():
     a, before = sp.csr_matrix(laplacian(side=40) @ laplacian(side=40)), threads()
     factor = _projective.Definite(a.indptr, a.indices)
     assert factor.factor(a.data) and threads() == before
+
+
+def skewed() -> sp.csr_matrix:
+    """The Laplacian with a wind that carries all along."""
+    along = sp.kron(sp.diags([-0.9, 0.9], [-1, 1], (SIDE, SIDE)), sp.identity(SIDE))
+    return sp.csr_matrix(laplacian() + along)
+
+
+def test_systems_without_symmetry_are_solved():
+    solver = unsymmetric(MPI.COMM_SELF, "friction_", Counts())
+    matrix = petsc(laplacian())
+    assert solver.factor(matrix) and error(solver, laplacian()) < 1e-12 and solver.negative is None
+    now = skewed()
+    assert abs(now - now.T).max() > 1.0
+    matrix.setValuesCSR(now.indptr, now.indices, now.data)
+    matrix.assemble()
+    assert solver.factor(matrix) and error(solver, now) < 1e-12
+    assert solver.counts.factorisations == 2
+
+
+def test_where_pivots_vanish_in_a_front_they_are_sought_elsewhere():
+    """Unknowns without a diagonal that feel others only, which come later."""
+    rng = np.random.default_rng(3)
+    matrix = sp.csr_matrix(np.block([[np.eye(40), rng.normal(size=(40, 40))], [rng.normal(size=(40, 80))]]))
+    matrix.data[matrix.indptr[:40]] = 0.0
+    solver = unsymmetric(MPI.COMM_SELF, "friction_", Counts())
+    assert solver.factor(petsc(matrix)) and error(solver, matrix) < 1e-11
+    assert solver.counts.factorisations == 2
+
+
+def test_options_choose_what_solves_systems_without_symmetry():
+    options = PETSc.Options()
+    options.setValue("friction_pc_factor_mat_solver_type", "mumps")
+    try:
+        assert type(unsymmetric(MPI.COMM_SELF, "friction_", Counts())) is LinearSolver
+    finally:
+        options.delValue("friction_pc_factor_mat_solver_type")
 
 
 def test_rows_that_do_not_fit_are_refused():

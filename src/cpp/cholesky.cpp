@@ -77,7 +77,7 @@ VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
 Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
   Definite made(size, start, column);
   if (!made.factor(value)) throw std::runtime_error("the matrix is not positive definite");
-  const cholmod_factor& f = made.factored();
+  const cholmod_factor& f = *made.by().made;
   const auto *super = static_cast<const int32_t*>(f.super), *at = static_cast<const int32_t*>(f.pi);
   const auto *places = static_cast<const int32_t*>(f.px), *index = static_cast<const int32_t*>(f.s);
   const auto* entry = static_cast<const double*>(f.x);

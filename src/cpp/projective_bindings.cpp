@@ -7,6 +7,7 @@
 #include "anderson.hpp"
 #include "cholesky.hpp"
 #include "definite.hpp"
+#include "general.hpp"
 #include "projective.hpp"
 
 namespace nb = nanobind;
@@ -30,6 +31,31 @@ static std::vector<T> copied(const In<T>& a, size_t size, const char* name) {
   return std::vector<T>(data, data + size);
 }
 
+// Factors of matrices of one pattern.
+template <class Factor>
+void bind_factor(nb::module_& m, const char* name) {
+  nb::class_<Factor>(m, name)
+      .def(
+          "__init__",
+          [](Factor* self, In<int32_t> start, In<int32_t> column) {
+            const int size = (int)start.size() - 1;
+            if (size < 1 || (size_t)start.data()[size] != column.size())
+              throw nb::value_error("rows of a sparse matrix expected");
+            new (self) Factor(size, start.data(), column.data());
+          },
+          "start"_a, "column"_a)
+      .def(
+          "factor",
+          [](Factor& self, In<double> value) { return self.factor(sized(value, self.by().given, "value")); },
+          "value"_a)
+      .def(
+          "solve",
+          [](Factor& self, In<double> b, Out<double> x) {
+            self.solve(sized(b, self.by().size(), "b"), sized(x, self.by().size(), "x"));
+          },
+          "b"_a, "x"_a);
+}
+
 NB_MODULE(_projective, m) {
   nb::class_<Cholesky>(m, "Cholesky")
       .def(
@@ -51,26 +77,8 @@ NB_MODULE(_projective, m) {
           "b"_a)
       .def_prop_ro("nonzeros", &Cholesky::nonzeros);
 
-  nb::class_<Definite>(m, "Definite")
-      .def(
-          "__init__",
-          [](Definite* self, In<int32_t> start, In<int32_t> column) {
-            const int size = (int)start.size() - 1;
-            if (size < 1 || (size_t)start.data()[size] != column.size())
-              throw nb::value_error("Definite: rows of a sparse matrix expected");
-            new (self) Definite(size, start.data(), column.data());
-          },
-          "start"_a, "column"_a)
-      .def(
-          "factor",
-          [](Definite& self, In<double> value) { return self.factor(sized(value, self.entries(), "value")); },
-          "value"_a)
-      .def(
-          "solve",
-          [](Definite& self, In<double> b, Out<double> x) {
-            self.solve(sized(b, self.size(), "b"), sized(x, self.size(), "x"));
-          },
-          "b"_a, "x"_a);
+  bind_factor<Definite>(m, "Definite");
+  bind_factor<General>(m, "General");
 
   nb::class_<Memory>(m, "Memory")
       .def(nb::init<int, int>(), "size"_a, "depth"_a)

@@ -1,6 +1,6 @@
 """What a potential is made of: terms, each with energy, gradient, Hessian and longest step."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,13 +27,24 @@ class Point:
         return np.concatenate([forces.ravel(), np.zeros(len(self.phi))])
 
 
-@dataclass
 class Seen:
-    """The last point, its unknowns, and what these count from (`Unknowns.base`)."""
+    """The last point, at some unknowns, which count from `base` (see `Unknowns`)."""
 
-    point: Point | None = None
-    unknowns: Reals = field(default_factory=lambda: np.zeros(0))
-    base: Reals | None = None
+    point: Point
+
+    def __init__(self) -> None:
+        self._unknowns, self._base = np.zeros(0), np.zeros(0)
+
+    def holds(self, unknowns: Reals, base: Reals, time: float, passes: bool) -> bool:
+        """Whether it is that of these."""
+        same = self._base is base and np.array_equal(self._unknowns, unknowns)
+        return same and (self.point.time, self.point.passes) == (time, passes)
+
+    def keep(self, point: Point, unknowns: Reals, base: Reals) -> None:
+        """It is this one from now on, which nobody may change."""
+        for values in (point.u, point.phi, point.displacement, point.positions):
+            values.flags.writeable = False
+        self.point, self._unknowns, self._base = point, unknowns.copy(), base
 
 
 class Term:

@@ -2,13 +2,15 @@
 
 On one rank `_projective.Definite`, fronts in CHOLMOD's order, factors positive definite matrices in 0.4 to 0.8 of
 MUMPS' time (700 to 30,000 unknowns, Cooperlake kernels) and solves in a third to two thirds; one that is indefinite it
-leaves at a negative pivot. MUMPS factors all others, and on several ranks all.
+leaves at a negative pivot. `General` factors without symmetry in half of MUMPS' time. MUMPS factors all others, and on
+several ranks all.
 """
 
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -217,19 +219,20 @@ class LinearSolver:
         return bool(percent <= MOST_WORK_SPACE)
 
 
-class Cholesky:
-    """Context of a PETSc PC of type python: L L^T on one rank."""
+class Fronts:
+    """Context of a PETSc PC of type python: L L^T (`_projective.Definite`) or L U (`General`) on one rank."""
 
-    def __init__(self) -> None:
-        self._factor: _projective.Definite | None = None
+    def __init__(self, kind: type) -> None:
+        self._kind = kind
+        self._factor: Any = None
         self._pattern: tuple[int, object] | None = None
 
     def factor(self, matrix: PETSc.Mat) -> bool:
-        """Whether the matrix is positive definite."""
+        """Whether the matrix is definite, or has no pivot that vanishes."""
         start, column, value = aij_arrays(matrix.handle)[0]
         pattern = matrix.handle, matrix.getAttr("coupled")
         if self._factor is None or self._pattern != pattern:
-            self._factor, self._pattern = _projective.Definite(start, column), pattern
+            self._factor, self._pattern = self._kind(start, column), pattern
         return bool(self._factor.factor(value))
 
     def apply(self, _: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
@@ -239,16 +242,18 @@ class Cholesky:
             self._factor.solve(b.array_r, x.array_w)
 
 
-class Symmetric(LinearSolver):
-    """Symmetric systems on one rank: L L^T, and by `indefinite` where a matrix is not positive definite."""
+class Unsymmetric(LinearSolver):
+    """Systems on one rank by fronts, with pivots sought within each, and by `indefinite`, which seeks them everywhere,
+    where one vanishes."""
+
+    kind: type = _projective.General
 
     def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
         super().__init__(ksp, indefinite.counts)
-        self._indefinite, self._cholesky = indefinite, Cholesky()
-        self._definite = False  # the last matrix
-        self._doubtful = False  # the last one of `factor` was not: the next one mostly is not, either
+        self._indefinite, self._fronts = indefinite, Fronts(self.kind)
+        self._served = False  # the last matrix
         until_the_end(ksp).pc.setType(PETSc.PC.Type.PYTHON)
-        ksp.pc.setPythonContext(self._cholesky)
+        ksp.pc.setPythonContext(self._fronts)
 
     @property
     def indefinite(self) -> LinearSolver:
@@ -257,9 +262,48 @@ class Symmetric(LinearSolver):
 
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """See LinearSolver."""
+        if self._by_fronts(matrix, operator):
+            return True
+        self.usable = self.indefinite.factor(matrix, operator)
+        self.negative = self.indefinite.negative
+        return self.usable
+
+    def _by_fronts(self, matrix: PETSc.Mat, operator: PETSc.Mat | None) -> bool:
+        with self.counts.factorising(), FACTORISES:
+            self._served = self.usable = self._fronts.factor(matrix)
+        self.negative = None
+        self.ksp.setOperators(operator or matrix, matrix)
+        return self._served
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """See LinearSolver."""
+        if self._served:
+            super().solve(b, x)
+        else:
+            self.indefinite.solve(b, x)
+
+    def destroy(self) -> None:
+        """Frees both factors."""
+        super().destroy()
+        self.indefinite.destroy()
+
+
+class Symmetric(Unsymmetric):
+    """Symmetric systems on one rank: L L^T, and by `indefinite` where a matrix is not positive definite."""
+
+    kind = _projective.Definite
+
+    def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
+        super().__init__(indefinite, ksp)
+        self._doubtful = (
+            False  # the last matrix of `factor` was not definite: the next one mostly is not, either
+        )
+
+    def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
+        """See LinearSolver."""
         if not self._doubtful and self.factor_definite(matrix, operator):
             return True
-        self._definite = False
+        self._served = False
         self.usable = self.indefinite.factor(matrix, operator)
         self.negative = self.indefinite.negative
         self._doubtful = bool(self.negative)
@@ -267,31 +311,17 @@ class Symmetric(LinearSolver):
 
     def factor_definite(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """See LinearSolver."""
-        with self.counts.factorising(), FACTORISES:
-            self._definite = self.usable = self._cholesky.factor(matrix)
-        self.negative = 0 if self._definite else None
-        self.ksp.setOperators(operator or matrix, matrix)
-        return self._definite
+        definite = self._by_fronts(matrix, operator)
+        self.negative = 0 if definite else None
+        return definite
 
     def forget(self) -> None:
         """See LinearSolver."""
         self._doubtful = False
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """See LinearSolver."""
-        if self._definite:
-            super().solve(b, x)
-        else:
-            self.indefinite.solve(b, x)
-
     def positive(self, matrix: PETSc.Mat) -> bool:
         """See LinearSolver."""
         return self.factor_definite(matrix)
-
-    def destroy(self) -> None:
-        """Frees both factors."""
-        super().destroy()
-        self.indefinite.destroy()
 
 
 def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts) -> LinearSolver:
@@ -306,9 +336,29 @@ def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts) -> Li
         made.setFromOptions()
         return made
 
-    chosen = any(name.startswith(CHOICES) for name in PETSc.Options().getAll())
     direct = LinearSolver(ksp(), counts)
-    return direct if chosen or comm.size > 1 else Symmetric(direct, ksp())
+    return direct if _chosen() or comm.size > 1 else Symmetric(direct, ksp())
+
+
+def unsymmetric(comm: MPI.Comm, prefix: str, counts: Counts) -> LinearSolver:
+    """What solves systems without symmetry, as options with a prefix say; without such by fronts first where one rank
+    does it all."""
+
+    def ksp() -> PETSc.KSP:
+        made = PETSc.KSP().create(comm=comm)
+        made.setOptionsPrefix(prefix)
+        made.setType(PETSc.KSP.Type.PREONLY)
+        use_lu(made.pc)
+        made.setFromOptions()
+        return made
+
+    direct = LinearSolver(ksp(), counts)
+    return direct if _chosen(prefix) or comm.size > 1 else Unsymmetric(direct, ksp())
+
+
+def _chosen(prefix: str = "") -> bool:
+    """Whether options with a prefix choose a solver."""
+    return any(name.startswith(tuple(prefix + word for word in CHOICES)) for name in PETSc.Options().getAll())
 
 
 def factored(matrix: PETSc.Mat, counts: Counts | None = None, prefix: str = INERTIA) -> LinearSolver:

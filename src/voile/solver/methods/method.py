@@ -12,7 +12,7 @@ from voile.problem.problem import Problem
 from voile.problem.scales import round_off
 from voile.problem.state import State
 from voile.solver.iterative import Iterative
-from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, symmetric, use_lu
+from voile.solver.linear import DEFAULTS, Counts, LinearSolver, hand_on, set_defaults, symmetric, unsymmetric
 
 LINEAR = 1e-10  # GMRES' tolerance; preconditioned by the symmetric part's factor it takes 3 to 5 iterations
 BLAMED = 10.0  # times round-off that a norm may be due to it
@@ -72,12 +72,8 @@ class Workspace:
         return self._unsymmetric
 
     def _make_unsymmetric(self) -> LinearSolver:
-        ksp = PETSc.KSP().create(comm=self.comm)
-        ksp.setOptionsPrefix("friction_")
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        use_lu(ksp.pc)
-        ksp.setFromOptions()
-        return self._eased(LinearSolver(ksp, self.counts), "step_friction_", False)
+        direct = unsymmetric(self.comm, "friction_", self.counts)
+        return self._eased(direct, "step_friction_", False)
 
     def _eased(self, direct: LinearSolver, prefix: str, symmetric: bool) -> LinearSolver:
         """What solves the systems of a direct solver."""
