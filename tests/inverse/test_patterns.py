@@ -1,17 +1,21 @@
 """Panels: where a surface is cut, and how it is laid flat."""
 
+import json
+
 import numpy as np
 import pytest
 from mesh_helpers import generator
 from pattern_shapes import cylinder, gores, octahedron, ramp, skirt, t_shirt, torus
 
+from voile.cli import main
 from voile.errors import InputError
 from voile.inverse.flatten import distortion, flatten, flatten_disc, overlaps
 from voile.inverse.overlaps import split_overlaps
 from voile.inverse.panels import Panels, split
 from voile.inverse.pattern import sewing
 from voile.inverse.stitched import add_stitches
-from voile.mesh import Stitches, build_topology, read_body, read_mesh
+from voile.inverse.symmetric import mirror_map
+from voile.mesh import Stitches, build_topology, read_body, read_mesh, write_obj
 
 patterns = generator("patterns")
 
@@ -40,6 +44,41 @@ def test_skirt_is_cut_open_down_the_middle_of_its_back():
     assert np.array_equal(panels.vertex[seam.sides[0]], panels.vertex[seam.sides[1]])
     assert not np.intersect1d(*seam.sides).size
     assert len(panels.vertex) == len(points) + len(at)
+
+
+SCENE = """
+[scene]
+task = "inverse"
+[shell]
+mesh = "even.obj"
+young = 1e9
+thickness = 1e-3
+density = 30.0
+[[fix]]
+select = { boundary = 1 }
+[pattern]
+symmetric = "x"
+"""
+
+
+def test_a_rough_skirt_is_cut_in_the_plane_of_its_symmetry(tmp_path):
+    """Half of a skirt whose vertices lie anywhere by 5 mm, and its image: the shortest cut is beside the plane, and
+    leaves a panel that does not mirror itself."""
+    points, triangles = skirt()
+    points = points + np.random.default_rng(0).uniform(-5e-3, 5e-3, points.shape)
+    write_obj(tmp_path / "rough.obj", points, triangles)
+    even = str(tmp_path / "even.obj")
+    assert main(["mesh", "mirror", str(tmp_path / "rough.obj"), "--across", "x", "-o", even]) == 0
+    surface = read_mesh(even)
+    with pytest.raises(InputError, match="cut otherwise than its mirror image"):
+        mirror_map(split(surface.triangles, surface.points), 0)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    assert main(["run", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out")]) == 0
+    pattern = json.loads((tmp_path / "out" / "pattern.json").read_text())
+    assert pattern["mirrors"] == [0]
+    x = np.array(pattern["pieces"][0]["points"])
+    image = x * [-1.0, 1.0] + [x[:, 0].min() + x[:, 0].max(), 0.0]
+    assert np.linalg.norm(x[:, None] - image, axis=2).min(axis=1).max() < 1e-12
 
 
 def test_gores_are_sewn_along_their_four_seams():

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.inverse.flatten import FlatPanels, flatten, overlaps
 from voile.inverse.panels import Groups, Panels, split
 from voile.mesh import build_topology
@@ -18,13 +18,14 @@ def split_overlaps(
     groups: Groups | None = None,
     seams: Ints | None = None,
     cut_open: bool | None = None,
+    middle: Flags | None = None,
 ) -> FlatPanels:
     """As `split` and `flatten`, with more cuts: each panel that overlaps itself in the plane is cut in two.
 
     The cut is the path of least length / (s (1 - s))^2, s the share of the outline on one side.
     Raises InputError and NotConverged as they do.
     """
-    panels = split(triangles, points, groups, seams, cut_open)
+    panels = split(triangles, points, groups, seams, cut_open, middle=middle)
     while True:
         flat = flatten(panels)
         paths = [
@@ -36,7 +37,7 @@ def split_overlaps(
             return flat
         runs = [panels.vertex[run] for run in [seam.sides[0] for seam in panels.seams] + paths]
         pairs = np.concatenate([np.column_stack([run[:-1], run[1:]]) for run in runs])
-        panels = split(triangles, points, groups, pairs, cut_open)
+        panels = split(triangles, points, groups, pairs, cut_open, middle=middle)
 
 
 def _halving(panels: Panels, k: int) -> Ints:

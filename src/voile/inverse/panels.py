@@ -59,13 +59,15 @@ def split(
     seams: Ints | None = None,
     cut_open: bool | None = None,
     back: Sequence[float] = BACK,
+    middle: Flags | None = None,
 ) -> Panels:
     """Cut the surface `triangles` (m, 3), `points` (n, 3) in metres, into discs.
 
     groups: index (m,) and names, a panel for each connected piece of a group; seams: (k, 2) vertex pairs of the
     edges to cut, beside those between groups. cut_open: whether a piece that is no disc is cut along shortest
     paths between its boundary loops, at the side `back` where several are alike; by default only where there are
-    neither groups nor seams.
+    neither groups nor seams. middle: (n,) vertices along which it is cut where it can be, as those of the plane of
+    symmetry.
     Raises InputError for an edge of more than two triangles or clashing orientations, a seam edge that is not
     inside the surface, and a panel that is no disc.
     """
@@ -80,7 +82,8 @@ def split(
     if seams is not None:
         cut[_edges_at(topology.edges, np.asarray(seams), np.bincount(edge, minlength=len(cut)) > 0)] = True
     if cut_open if cut_open is not None else groups is None and seams is None:
-        cut = _cut_to_discs(triangles, points, cut, np.asarray(back, dtype=float))
+        middle = np.zeros(len(points), dtype=bool) if middle is None else middle
+        cut = _cut_to_discs(triangles, points, cut, np.asarray(back, dtype=float), middle)
     group = np.zeros(len(triangles), dtype=np.int64) if groups is None else np.asarray(groups[0])
     corners, vertex, panel = _pieces(triangles, cut, group)
     names = _names(panel, groups)
@@ -188,7 +191,7 @@ def _check_discs(corners: Ints, panel: Ints, names: tuple[str, ...], cuts: Ints)
     )
 
 
-def _cut_to_discs(triangles: Ints, points: Reals, cut: Flags, back: Reals) -> Flags:
+def _cut_to_discs(triangles: Ints, points: Reals, cut: Flags, back: Reals, middle: Flags) -> Flags:
     """Cut edges (e,) more, until every piece is a disc: between boundary loops first, then handles."""
     topology = build_topology(triangles)
     inside = np.ones(len(cut), dtype=bool)
@@ -201,9 +204,9 @@ def _cut_to_discs(triangles: Ints, points: Reals, cut: Flags, back: Reals) -> Fl
         piece = corners[panel == wrong[0]]
         loops = boundary_loops(piece, build_topology(piece), points[vertex])
         if len(loops) > 1:
-            paths = [_shortest(piece, points[vertex], loops, back)]
+            paths = [_shortest(piece, points[vertex], loops, back, middle[vertex])]
         else:
-            paths = _handles(piece, points[vertex], back)
+            paths = _handles(piece, points[vertex], back, middle[vertex])
         pairs = np.concatenate([np.column_stack([path[:-1], path[1:]]) for path in paths])
         surface = np.sort(vertex[pairs], axis=1)
         place = np.searchsorted(_key(topology.edges, len(points)), _key(surface, len(points)))
@@ -215,18 +218,20 @@ def _key(edges: Ints, count: int) -> Ints:
     return edges[:, 0].astype(np.int64) * count + edges[:, 1]
 
 
-def _weighted_edges(piece: Ints, points: Reals, back: Reals) -> tuple[Ints, Reals]:
-    """Edges (e, 2) of a piece and their lengths, up to FRONT_COSTS longer the farther they are from the back."""
+def _weighted_edges(piece: Ints, points: Reals, back: Reals, middle: Flags) -> tuple[Ints, Reals]:
+    """Edges (e, 2) of a piece and their lengths, up to FRONT_COSTS longer the farther they are from the back; beside
+    the middle, where there is one, so long that no way along it is longer."""
     edges = build_topology(piece).edges.astype(np.int64)
     forward = -(points[edges].mean(axis=1) @ back)
     share = (forward - forward.min()) / max(np.ptp(forward), np.finfo(float).tiny)
     length = np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1)
-    return edges, length * (1 + FRONT_COSTS * share)
+    beside = np.where(middle[edges].all(axis=1), 1.0, len(edges)) if middle.any() else 1.0
+    return edges, length * (1 + FRONT_COSTS * share) * beside
 
 
-def _shortest(piece: Ints, points: Reals, loops: list[Ints], back: Reals) -> Ints:
+def _shortest(piece: Ints, points: Reals, loops: list[Ints], back: Reals, middle: Flags) -> Ints:
     """The shortest path through the inside of a piece from one of its boundary loops to another."""
-    edges, weight = _weighted_edges(piece, points, back)
+    edges, weight = _weighted_edges(piece, points, back, middle)
     count = len(points)
     loop_of = np.full(count, -1)
     for k, loop in enumerate(loops):
@@ -256,7 +261,7 @@ def _trace(before: Ints, end: int) -> Ints:
     return np.array(path)
 
 
-def _handles(piece: Ints, points: Reals, back: Reals) -> list[Ints]:
+def _handles(piece: Ints, points: Reals, back: Reals, middle: Flags) -> list[Ints]:
     """Paths that open a piece of at most one border: the cut graph of its handles, or a slit in a closed sphere."""
     import igl
 
@@ -264,7 +269,7 @@ def _handles(piece: Ints, points: Reals, back: Reals) -> list[Ints]:
     paths = [used[path] for path in igl.cut_to_disk(local.reshape(-1, 3).astype(np.int64))]
     if paths:
         return paths
-    edges, weight = _weighted_edges(piece, points, back)
+    edges, weight = _weighted_edges(piece, points, back, middle)
     graph = sparse.csr_matrix((weight, (edges[:, 0], edges[:, 1])), shape=(len(points),) * 2)
     start = int(used[(points[used] - points[used].mean(axis=0)).dot(back).argmax()])
     for _ in range(2):  # from the farthest vertex to the one farthest from it

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from voile.arrays import Array, Ints, Reals
+from voile.arrays import Array, Flags, Ints, Reals
 from voile.errors import InputError
 from voile.inverse.ease import wanted_ease
 from voile.inverse.panels import Panels
@@ -26,16 +26,7 @@ def mirror_map(panels: Panels, axis: int) -> Ints:
     """
     points, letter = panels.points, "xyz"[axis]
     edge = np.linalg.norm(points[panels.triangles[:, 0]] - points[panels.triangles[:, 1]], axis=1).mean()
-    low, high = (
-        points[panels.triangles].min(axis=(0, 1))[axis],
-        points[panels.triangles].max(axis=(0, 1))[axis],
-    )
-    place, tree = 0.5 * (low + high), cKDTree(points)
-    for _ in range(PLACES):
-        image = points.copy()
-        image[:, axis] = 2 * place - image[:, axis]
-        distance, partner = tree.query(image)
-        place = float(np.median(0.5 * (points[:, axis] + points[partner, axis])))
+    place, distance, partner = _nearest(points, panels.triangles, axis)
     partner = _layered(panels, partner)
     here = np.unique(panels.triangles)
     lone = here[(partner[partner[here]] != here) | (distance[here] > FAR * edge)]
@@ -47,6 +38,25 @@ def mirror_map(panels: Panels, axis: int) -> Ints:
             f"triangles mirror each other ('voile mesh mirror FILE --across {letter}' makes one)"
         )
     return _of_panels(panels, partner, letter)
+
+
+def middle_of(points: Reals, triangles: Ints, axis: int) -> Flags:
+    """(n,) vertices of a surface that are their own mirror images."""
+    found: Flags = _nearest(points, triangles, axis)[2] == np.arange(len(points))
+    return found
+
+
+def _nearest(points: Reals, triangles: Ints, axis: int) -> tuple[float, Reals, Ints]:
+    """Where the plane of symmetry lies along the axis (m); how far each vertex' mirror image is from the nearest vertex
+    (n,) m, and which that is (n,)."""
+    along = points[triangles, axis]
+    place, tree = 0.5 * (along.min() + along.max()), cKDTree(points)
+    for _ in range(PLACES):
+        image = points.copy()
+        image[:, axis] = 2 * place - image[:, axis]
+        distance, partner = tree.query(image)
+        place = float(np.median(0.5 * (points[:, axis] + points[partner, axis])))
+    return place, distance, partner
 
 
 def _layered(panels: Panels, partner: Ints) -> Ints:

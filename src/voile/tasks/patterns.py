@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voile.arrays import Ints, Reals
+from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError, NotConverged, on_root
 from voile.inverse.ease import add_ease
 from voile.inverse.flatten import FlatPanels, distortion, flatten
@@ -16,7 +16,7 @@ from voile.inverse.panels import Groups, Panels, split
 from voile.inverse.pattern import make_pattern, pattern_summary, sewing
 from voile.inverse.rules import NO_RULES, PanelRule, Rules, SeamRule, check_rules
 from voile.inverse.stitched import add_stitches
-from voile.inverse.symmetric import mirror_map, mirrored_rules, symmetrised
+from voile.inverse.symmetric import middle_of, mirror_map, mirrored_rules, symmetrised
 from voile.mesh import Pattern, Surface, build_topology, select, surface_loops
 from voile.problem.shell import Shell
 from voile.scene.pattern import AXES
@@ -27,24 +27,32 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
 
-def lay_flat(model: Model, shell: Shell, points: Reals, cut_overlaps: bool) -> FlatPanels:
+def lay_flat(model: Model, shell: Shell, scene: Scene, points: Reals, cut_overlaps: bool) -> FlatPanels:
     """The shell's surface with its vertices at `points` (n, 3) m as flat panels: the mesh's groups, where it has
     several, cut along the scene's seams and open to discs, with the mesh's stitches as seams. cut_overlaps:
     panels that overlap themselves in the plane are cut further. Raises InputError or NotConverged where a panel cannot
     be laid flat."""
     if not cut_overlaps:
-        return flatten(_cut(model, shell, points))
+        return flatten(_cut(model, shell, scene, points))
     surface = model.surface
-    flat = split_overlaps(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
+    middle = _middle(shell, scene)
+    flat = split_overlaps(shell.triangles, points, _groups(surface), model.cuts, cut_open=True, middle=middle)
     if surface.stitches is None:
         return flat
     return replace(flat, panels=add_stitches(flat.panels, surface.stitches))
 
 
-def _cut(model: Model, shell: Shell, points: Reals) -> Panels:
-    surface = model.surface
-    panels = split(shell.triangles, points, _groups(surface), model.cuts, cut_open=True)
+def _cut(model: Model, shell: Shell, scene: Scene, points: Reals) -> Panels:
+    surface, middle = model.surface, _middle(shell, scene)
+    panels = split(shell.triangles, points, _groups(surface), model.cuts, cut_open=True, middle=middle)
     return panels if surface.stitches is None else add_stitches(panels, surface.stitches)
+
+
+def _middle(shell: Shell, scene: Scene) -> Flags | None:
+    """(n,) where surfaces are cut open if they can be: in the plane of symmetry that is asked for, so that one panel
+    mirrors itself."""
+    axis = scene.pattern.symmetric
+    return middle_of(shell.points, shell.triangles, AXES.index(axis)) if isinstance(axis, str) else None
 
 
 def _groups(surface: Surface) -> Groups | None:
@@ -102,7 +110,7 @@ def check_wishes(model: Model, shell: Shell | None, scene: Scene) -> None:
     rules = wishes(scene, model)
     if rules == NO_RULES or shell is None:
         return
-    panels = _cut(model, shell, shell.points)
+    panels = _cut(model, shell, scene, shell.points)
     check_rules(panels, rules.panels, rules.seams)
     mirrored_rules(panels, rules)
 
@@ -193,7 +201,7 @@ def pattern_of_surface(
     several pieces: its figures, and its points (p, 2) m with those of each triangle's corners (m, 3). Says why where
     there is none."""
     try:
-        flat = lay_flat(model, shell, rest, cut_overlaps=False)
+        flat = lay_flat(model, shell, scene, rest, cut_overlaps=False)
         pattern = draw(flat, scene, model, up)
     except (InputError, NotConverged) as reason:
         return {"none": str(reason)}, None, None

@@ -144,7 +144,7 @@ def _journal(job: Run) -> Journal:
 def _panels(job: Run, shell: Shell | None) -> tuple[FlatPanels, Shell]:
     """The target laid flat as panels, and the shell that they are."""
     assert job.model and shell
-    flat = lay_flat(job.model, shell, _sewn(shell), cut_overlaps=True)
+    flat = lay_flat(job.model, shell, job.scene, _sewn(shell), cut_overlaps=True)
     return flat, cut_apart(shell, flat)
 
 
