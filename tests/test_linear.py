@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from voile import _projective
+from voile import _projective, launch
 from voile.solver.linear import Counts, LinearSolver, symmetric, unsymmetric
 
 SIDE = 20
@@ -81,6 +81,34 @@ def test_factors_start_no_threads():
     a, before = sp.csr_matrix(laplacian(side=40) @ laplacian(side=40)), threads()
     factor = _projective.Definite(a.indptr, a.indices)
     assert factor.factor(a.data) and threads() == before
+
+
+@pytest.mark.parametrize("kind", [_projective.Definite, _projective.General])
+def test_threads_change_no_digit(kind):
+    """Subtrees of fronts in threads; each front adds up what its children give in the same order."""
+    a = sp.csr_matrix(laplacian(-0.1, 200) @ laplacian(-0.1, 200))
+    b = np.random.default_rng(2).standard_normal(a.shape[0])
+    bent = a.data.copy()
+    bent[a.indptr[-2] :] *= -1.0 if kind is _projective.Definite else np.nan  # the last row
+    found = []
+    for threads in (1, 2, 5):
+        factor, x = kind(a.indptr, a.indices, threads), np.empty_like(b)
+        assert factor.factor(a.data) and not factor.factor(bent) and factor.factor(a.data)
+        factor.solve(b, x)
+        found.append(x)
+    assert np.linalg.norm(a @ found[0] - b) < 1e-12 * np.linalg.norm(b)
+    assert (found[0] == found[1]).all() and (found[0] == found[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "many"), [("3", 3), ("4,2", 4), ("64", 8), ("0", 1), ("x", None), ("", None)]
+)
+def test_threads_are_those_asked_for(monkeypatch, words, many):
+    monkeypatch.setenv("OMP_NUM_THREADS", words)
+    monkeypatch.setattr(launch, "launched", lambda: False)
+    assert launch.threads() == (many or min(launch.processors(), 8))
+    monkeypatch.setattr(launch, "launched", lambda: True)
+    assert launch.threads() == (many or 1)
 
 
 def skewed() -> sp.csr_matrix:

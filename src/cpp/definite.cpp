@@ -20,7 +20,8 @@ cholmod_dense dense(int size, const double* value) {
 
 }  // namespace
 
-Definite::Definite(int size, const int32_t* start, const int32_t* column) : fronts(size, start, column) {
+Definite::Definite(int size, const int32_t* start, const int32_t* column, int threads)
+    : fronts(size, start, column, threads) {
   if (!cholmod_change_factor(CHOLMOD_REAL, true, true, true, true, fronts.made, &fronts.common))
     throw std::runtime_error("CHOLMOD has no memory for a factor");
 }
@@ -31,18 +32,15 @@ Definite::~Definite() {
 
 bool Definite::factor(const double* value) {
   auto* l = static_cast<double*>(fronts.made->x);
-  std::memset(l, 0, sizeof(double) * fronts.panels());
-  for (size_t e = 0; e < fronts.triangle; ++e) l[fronts.entries[e].to] = value[fronts.entries[e].from];
   const double one = 1.0, minus = -1.0;
-  double* top = fronts.updates.data();
-  for (const Front& f : fronts.all) {
+  const bool definite = fronts.run([&](const Front& f, double* sum) {
     const int below = f.below();
-    double *panel = l + f.panel, *under = panel + f.width, *sum = top;
+    double *panel = l + f.panel, *under = panel + f.width;
+    std::memset(panel, 0, sizeof(double) * f.width * f.height);
+    for (const Entry& e : f.lower) l[e.to] = value[e.from];
     for (int j = 0; j < below; ++j) std::memset(sum + (size_t)j * below + j, 0, sizeof(double) * (below - j));
-    for (int c = f.child; c >= 0; c = fronts.all[c].sibling) {
-      const Front& child = fronts.all[c];
-      add(child, top -= (size_t)child.below() * child.below(), f, panel, sum);
-    }
+    for (int c = f.child; c >= 0; c = fronts.all[c].sibling)
+      add(fronts.all[c], fronts.added(c), f, panel, sum);
     int info;
     dpotrf_("L", &f.width, panel, &f.height, &info);
     if (info) return false;
@@ -50,11 +48,10 @@ bool Definite::factor(const double* value) {
       dtrsm_("R", "L", "T", "N", &below, &f.width, &one, panel, &f.height, under, &f.height);
       dsyrk_("L", "N", &below, &f.width, &minus, under, &f.height, &one, sum, &below);
     }
-    std::memmove(top, sum, sizeof(double) * below * below);
-    top += (size_t)below * below;
-  }
+    return true;
+  });
   fronts.made->minor = fronts.made->n;
-  return true;
+  return definite;
 }
 
 void Definite::add(const Front& child, const double* update, const Front& parent, double* panel,

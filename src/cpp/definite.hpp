@@ -11,7 +11,7 @@ namespace voile {
 class Definite {
  public:
   // See Fronts.
-  Definite(int size, const int32_t* start, const int32_t* column);
+  Definite(int size, const int32_t* start, const int32_t* column, int threads = 1);
   ~Definite();
 
   // Factors the entries; false where they are not positive definite, found at the first pivot that is not.

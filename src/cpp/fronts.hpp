@@ -3,51 +3,73 @@
 
 #include <cholmod.h>
 
+#include <atomic>
 #include <cstdint>
+#include <functional>
+#include <span>
 #include <vector>
 
 namespace voile {
 
+// An entry of the matrix, and where it goes: among all panels, or after them among what is across.
+struct Entry {
+  int32_t from;
+  size_t to;
+};
+
 // A supernode: `width` columns with the same rows, `height` in all, its own first. They are factored in a
 // dense front of these rows, which adds to fronts after it (multifrontal method, Duff & Reid 1983; Liu 1992).
 // panel: place of its columns (height x width); across: of its rows beyond them, transposed (below x width);
-// into: that of its rows below in `Fronts::place`; child, sibling: the last front that adds to it, the one
-// before that adds to the same; -1 for none.
+// into: that of its rows below in `Fronts::place`; lower, upper: its entries, the diagonal among the first;
+// parent: the front that it adds to; child, sibling: the last front that adds to it, the one before
+// that adds to the same; -1 for none. lane: see `Fronts::lanes`.
 struct Front {
   int first, width, height;
   const int32_t* rows;
-  size_t panel, across, into;
-  int child, sibling;
+  size_t panel, across, into = 0;
+  std::span<const Entry> lower, upper;
+  int parent = -1, child = -1, sibling = -1, lane = 0;
   int below() const { return height - width; }
+  size_t adds() const { return (size_t)below() * below(); }
 };
 
 // CHOLMOD (Davis et al., SuiteSparse) orders and analyses.
 class Fronts {
  public:
-  // Rows of the pattern, which is symmetric, both triangles, columns ascending. Throws std::runtime_error.
-  Fronts(int size, const int32_t* start, const int32_t* column);
+  // Rows of the pattern, which is symmetric, both triangles, columns ascending; threads: how many factor at
+  // most. Throws std::runtime_error.
+  Fronts(int size, const int32_t* start, const int32_t* column, int threads);
   ~Fronts();
   Fronts(const Fronts&) = delete;
   Fronts& operator=(const Fronts&) = delete;
 
-  // An entry of the matrix, and where it goes: among all panels, or after them among what is across.
-  struct Entry {
-    int32_t from;
-    size_t to;
-  };
-
   int size() const { return (int)made->n; }
   size_t panels() const { return made->xsize; }
+
+  // Calls eliminate(front, sum) for all fronts, children first, subtrees in threads, until one is false;
+  // whether all were true. It leaves in sum (below x below) what the front adds to its parent. Where sums
+  // come from, and in which order, does not depend on the threads.
+  bool run(const std::function<bool(const Front&, double*)>& eliminate);
+  // What a child of a front being eliminated adds to it.
+  const double* added(int child) const { return sums[child]; }
 
   int given;  // entries of the matrix
   cholmod_common common;
   cholmod_factor* made = nullptr;
-  std::vector<Front> all;       // children before parents
-  std::vector<Entry> entries;   // those of the lower triangle first
-  size_t triangle = 0;          // how many these are
-  size_t across = 0;            // numbers there
-  std::vector<int32_t> place;   // of fronts' rows below among the parent's
-  std::vector<double> updates;  // a stack of what fronts add
+  std::vector<Front> all;      // children before parents
+  size_t across = 0;           // numbers there
+  std::vector<int32_t> place;  // of fronts' rows below among the parent's
+
+ private:
+  std::vector<Entry> entries;
+  void share(int threads);
+  void run(int lane, const std::function<bool(const Front&, double*)>& eliminate);
+
+  // Fronts, ascending: whole subtrees, a lane for each thread, and last what they all lead to.
+  std::vector<std::vector<int>> lanes;
+  std::vector<std::vector<double>> stacks;  // of what each lane's fronts add
+  std::vector<double*> sums;                // of each front
+  std::atomic<bool> broken = false;         // a front was not eliminated
 };
 
 }  // namespace voile

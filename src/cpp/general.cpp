@@ -14,30 +14,23 @@ const double PLUS = 1.0, MINUS = -1.0;
 
 }  // namespace
 
-General::General(int size, const int32_t* start, const int32_t* column)
-    : fronts(size, start, column), l(fronts.panels() + fronts.across), pivots(size), turned(size) {
+General::General(int size, const int32_t* start, const int32_t* column, int threads)
+    : fronts(size, start, column, threads), l(fronts.panels() + fronts.across), pivots(size), turned(size) {
   int most = 0;
   for (const Front& f : fronts.all) most = std::max(most, f.below());
   work.resize(most);
 }
 
 bool General::factor(const double* value) {
-  std::fill(l.begin(), l.end(), 0.0);
-  for (const Fronts::Entry& e : fronts.entries) l[e.to] = value[e.from];
-  double* top = fronts.updates.data();
-  for (const Front& f : fronts.all) {
-    const size_t count = (size_t)f.below() * f.below();
-    double* sum = top;
-    std::memset(sum, 0, sizeof(double) * count);
-    for (int c = f.child; c >= 0; c = fronts.all[c].sibling) {
-      const Front& child = fronts.all[c];
-      add(child, top -= (size_t)child.below() * child.below(), f, sum);
-    }
-    if (!eliminate(f, sum)) return false;
-    std::memmove(top, sum, sizeof(double) * count);
-    top += count;
-  }
-  return true;
+  return fronts.run([&](const Front& f, double* sum) {
+    std::memset(l.data() + f.panel, 0, sizeof(double) * f.width * f.height);
+    std::memset(l.data() + fronts.panels() + f.across, 0, sizeof(double) * f.width * f.below());
+    for (const auto& half : {f.lower, f.upper})
+      for (const Entry& e : half) l[e.to] = value[e.from];
+    std::memset(sum, 0, sizeof(double) * f.adds());
+    for (int c = f.child; c >= 0; c = fronts.all[c].sibling) add(fronts.all[c], fronts.added(c), f, sum);
+    return eliminate(f, sum);
+  });
 }
 
 void General::add(const Front& child, const double* update, const Front& parent, double* sum) {

@@ -11,7 +11,7 @@ namespace voile {
 class General {
  public:
   // See Fronts.
-  General(int size, const int32_t* start, const int32_t* column);
+  General(int size, const int32_t* start, const int32_t* column, int threads = 1);
 
   // Factors the entries; false where a pivot is zero or not finite.
   bool factor(const double* value);

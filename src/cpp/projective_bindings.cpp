@@ -37,13 +37,13 @@ void bind_factor(nb::module_& m, const char* name) {
   nb::class_<Factor>(m, name)
       .def(
           "__init__",
-          [](Factor* self, In<int32_t> start, In<int32_t> column) {
+          [](Factor* self, In<int32_t> start, In<int32_t> column, int threads) {
             const int size = (int)start.size() - 1;
             if (size < 1 || (size_t)start.data()[size] != column.size())
               throw nb::value_error("rows of a sparse matrix expected");
-            new (self) Factor(size, start.data(), column.data());
+            new (self) Factor(size, start.data(), column.data(), threads);
           },
-          "start"_a, "column"_a)
+          "start"_a, "column"_a, "threads"_a = 1)
       .def(
           "factor",
           [](Factor& self, In<double> value) { return self.factor(sized(value, self.by().given, "value")); },

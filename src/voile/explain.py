@@ -6,6 +6,7 @@ from voile import blas
 from voile.arrays import diagonal
 from voile.elastic import MODELS, has_directors
 from voile.elastic.plate import FlatMesh, Stiffness
+from voile.launch import threads
 from voile.problem.follower import conservative
 from voile.problem.shell import Shell, seam_gaps
 from voile.scene import Scene
@@ -276,6 +277,7 @@ def _head(scene: Scene, model: Model, kept: set[str]) -> list[str]:
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model, by_levels)}; PETSc options after --",
         f"blas      {blas.used()}",
+        f"threads   {threads()} to factor on one rank (OMP_NUM_THREADS)",
         f"memory    about {needs / 2**20:.0f} MiB for matrix and {'levels' if by_levels else 'factor'}",
         f"thickness over size {_slenderness(shell):.2e}",
         *_obstacles(model),

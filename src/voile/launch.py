@@ -1,6 +1,8 @@
-"""How MPI starts."""
+"""How MPI starts, and how many threads a process has."""
 
 import os
+
+MOST_THREADS = 8  # of a factor: its last fronts have one thread, and beyond take most of the time
 
 
 def launched() -> bool:
@@ -11,6 +13,19 @@ def launched() -> bool:
 def started() -> int:
     """How many ranks mpirun or the like started with this one, as far as it tells; 1 without."""
     return max(int(os.environ.get(name, "1")) for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
+
+
+def processors() -> int:
+    """How many this process may run on."""
+    return len(os.sched_getaffinity(0))
+
+
+def threads() -> int:
+    """On how many a process factors: as OMP_NUM_THREADS says; without it as many as there are processors, one where
+    ranks share them."""
+    given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    wanted = int(given) if given.isascii() and given.isdigit() else 1 if launched() else processors()
+    return min(max(wanted, 1), MOST_THREADS)
 
 
 def without_launcher() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from voile.errors import InputError
-from voile.launch import started
+from voile.launch import processors, started
 from voile.signals import stoppable
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ def _all(args: argparse.Namespace, runs: Runs) -> int:
     from voile.study.execute import CONVERGED, figures_of, missing
     from voile.study.report import text, write_files
 
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(processors() // args.jobs, 1)))  # of each run
     records = runs.all(args.jobs, _tell)
     absent = missing(runs.plan.measures, records)
     if absent:

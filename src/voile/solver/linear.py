@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from voile import _projective
 from voile._petsc import aij_arrays
 from voile.errors import InputError
+from voile.launch import threads
 from voile.problem.lifetime import until_the_end
 
 BROKEN = 71, 81  # of PETSc: a zero pivot of LU; of Cholesky, for CHOLMOD one that is not positive
@@ -220,7 +221,8 @@ class LinearSolver:
 
 
 class Fronts:
-    """Context of a PETSc PC of type python: L L^T (`_projective.Definite`) or L U (`General`) on one rank."""
+    """Context of a PETSc PC of type python: L L^T (`_projective.Definite`) or L U (`General`) on one rank, by
+    threads, to the same digits."""
 
     def __init__(self, kind: type) -> None:
         self._kind = kind
@@ -232,7 +234,7 @@ class Fronts:
         start, column, value = aij_arrays(matrix.handle)[0]
         pattern = matrix.handle, matrix.getAttr("coupled")
         if self._factor is None or self._pattern != pattern:
-            self._factor, self._pattern = self._kind(start, column), pattern
+            self._factor, self._pattern = self._kind(start, column, threads()), pattern
         return bool(self._factor.factor(value))
 
     def apply(self, _: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
