@@ -253,6 +253,19 @@ def test_a_buckled_strip_ends_in_a_stable_state():
     assert abs(u.reshape(-1, 3)[:, 2]).max() > 0.1
 
 
+def test_a_saddle_that_is_met_is_called_one():
+    """The same strip, straight, to which Newton's steps lead from the start: none takes it, and not for its residual."""
+    points, triangles = sheet(12, 2, width=0.1)
+    shell = make_shell(
+        points, triangles, gravity=np.array([-9.81, 0.0, 0.0]), young=2e7 * np.ones(len(triangles))
+    )
+    problem = Problem(shell, MPI.COMM_SELF)
+    y = problem.create_vector()
+    outcome = MixedNewton(Workspace(problem)).solve(problem, y, 1e-8 * problem.load_norm(y))
+    assert not outcome.converged and outcome.norm <= 1e-8 * problem.load_norm(y)
+    assert "misses" not in outcome.reason and "not positive definite" in outcome.reason
+
+
 def test_the_load_path_reports_what_it_did():
     points, triangles = sheet(6, 3)
     problem = Problem(make_shell(points, triangles, young=1e8 * np.ones(len(triangles))), MPI.COMM_SELF)

@@ -189,6 +189,8 @@ class Nonlinear:
         for name, value in (("rtol", relative), ("stol", short)):  # 0 where no option says otherwise
             early += f"; the option -snes_{name} {value:g} may have ended it" if value else ""
         reason = f"norm {self.norm:.3e} N misses {asked:.3e} N ({why}){early}{blame}"
+        if self.norm <= asked:  # a saddle, which no method takes
+            reason = f"norm {self.norm:.3e} N meets {asked:.3e} N where the tangent is not positive definite"
         return Outcome(False, method, reason, blurred=blurred, norm=self.norm)
 
     def _report(self, _snes: PETSc.SNES, iteration: int, norm: float) -> None:
