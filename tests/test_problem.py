@@ -254,7 +254,7 @@ def test_a_buckled_strip_ends_in_a_stable_state():
 
 
 def test_a_saddle_that_is_met_is_called_one():
-    """The same strip, straight, to which Newton's steps lead from the start: none takes it, and not for its residual."""
+    """The same strip, straight, where Newton's steps lead from the start: refused, and not for its residual."""
     points, triangles = sheet(12, 2, width=0.1)
     shell = make_shell(
         points, triangles, gravity=np.array([-9.81, 0.0, 0.0]), young=2e7 * np.ones(len(triangles))
