@@ -11,7 +11,7 @@ from test_state import taylor_rates
 
 from voile.cli import main
 from voile.contact.candidates import Layers, near_along
-from voile.contact.closest import closest_of_edges, closest_to_triangle, derivatives
+from voile.contact.closest import closest_of_edges, closest_to_triangle, direction, hessian
 from voile.contact.contact import Contact
 from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Plane
@@ -63,9 +63,9 @@ def test_gradient_and_curvature_of_a_distance(measure):
     kinds = measure(x).along.any(axis=1).sum(axis=1) + 3 * (measure(x).weight != 0.0).sum(axis=1)
     assert len(np.unique(kinds)) == (3 if measure is closest_to_triangle else 1)
     for kind in np.unique(kinds):
-        z, direction = x[kinds == kind][:1], rng.normal(size=(1, 12))
+        z, way = x[kinds == kind][:1], rng.normal(size=(1, 12))
         c = measure(z)
-        normal, hessian = derivatives(c, z)
+        normal, curvature = direction(c, z), hessian(c, z)
         gradient = (c.weight[:, :, None] * normal[:, None]).reshape(1, 12)
 
         def distance(y):
@@ -73,12 +73,12 @@ def test_gradient_and_curvature_of_a_distance(measure):
 
         def slope(y):
             c = measure(y.reshape(1, 4, 3))
-            return (c.weight[:, :, None] * derivatives(c, y.reshape(1, 4, 3))[0][:, None]).reshape(1, 12)
+            return (c.weight[:, :, None] * direction(c, y.reshape(1, 4, 3))[:, None]).reshape(1, 12)
 
-        small = 0.03 * direction
+        small = 0.03 * way
         y = z.reshape(1, 12)
         assert min(taylor_rates(distance, np.sum(gradient * small), y, small)) > 1.8
-        assert min(taylor_rates(slope, np.einsum("pij,pj->pi", hessian, small), y, small)) > 1.8
+        assert min(taylor_rates(slope, np.einsum("pij,pj->pi", curvature, small), y, small)) > 1.8
 
 
 def two_sheets() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -73,22 +73,28 @@ def edge_distance(x: Reals) -> Reals:
     return found
 
 
-def derivatives(c: Closest, x: Reals) -> tuple[Reals, Reals]:
-    """Of the distances of points x (p, 4, 3): direction r / |r| (p, 3), whose products with the weights are the
-    gradient, and Hessian (p, 12, 12) 1/m."""
-    p = len(x)
-    r = np.einsum("pi,pik->pk", c.weight, x)
-    normal = r / c.distance[:, None]
+def direction(c: Closest, x: Reals) -> Reals:
+    """(p, 3) r / |r| of points x (p, 4, 3), whose products with the weights are the distances' gradient."""
+    found: Reals = np.einsum("pi,pik->pk", c.weight, x) / c.distance[:, None]
+    return found
+
+
+def hessian(c: Closest, x: Reals) -> Reals:
+    """(p, 12, 12) that of the distances of points x (p, 4, 3), 1/m."""
+    p, normal = len(x), direction(c, x)
+    r = normal * c.distance[:, None]
     tangent = np.einsum("pia,pik->pka", c.along, x)  # E
-    gram = np.einsum("pka,pkb->pab", tangent, tangent)
-    gram += np.eye(2) * (~c.along.any(axis=1))[:, None, :]  # parameters at their bounds stay there
+    one, two = tangent[:, :, 0], tangent[:, :, 1]
+    still = ~c.along.any(axis=1)  # parameters at their bounds stay there
+    g11, g12, g22 = _dot(one, one) + still[:, 0], _dot(one, two), _dot(two, two) + still[:, 1]
+    inverse = np.stack([g22, -g12, -g12, g11], axis=1).reshape(p, 2, 2) / (g11 * g22 - g12**2)[:, None, None]
     mixed = c.weight[:, :, None, None] * tangent[:, None] + r[:, None, :, None] * c.along[:, :, None, :]
     mixed = mixed.reshape(p, 12, 2)
     fixed = np.einsum("pi,pj,kl->pikjl", c.weight, c.weight, np.eye(3)).reshape(p, 12, 12)
     gradient = (c.weight[:, :, None] * normal[:, None]).reshape(p, 12)
-    hessian = fixed - mixed @ np.linalg.solve(gram, mixed.transpose(0, 2, 1))
-    hessian -= gradient[:, :, None] * gradient[:, None, :]
-    return normal, hessian / c.distance[:, None, None]
+    found: Reals = fixed - mixed @ inverse @ mixed.transpose(0, 2, 1)
+    found -= gradient[:, :, None] * gradient[:, None, :]
+    return found / c.distance[:, None, None]
 
 
 def _dot(a: Reals, b: Reals) -> Reals:

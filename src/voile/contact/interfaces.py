@@ -7,12 +7,13 @@ are all that Signorini's and Coulomb's laws need.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from voile.arrays import Array, Flags, Ints, Reals
 from voile.contact.candidates import BAND, Candidates, Layers, closest
-from voile.contact.closest import Closest, derivatives
+from voile.contact.closest import Closest, direction, hessian
 from voile.contact.history import PER_PARTNER, History
 from voile.contact.obstacle import Obstacle
 from voile.contact.pairs import Geometry
@@ -46,7 +47,7 @@ class ObstacleContact:
         """That of some contacts."""
         gap, gradient, curvature = self.obstacle.gap_derivatives(x[rows], t, history.start(rows))
         gap -= self.offset[rows] + history.level[self.index][rows]
-        return Geometry(gap, gradient, curvature, rows[:, None], np.ones((len(rows), 1)))
+        return Geometry(gap, gradient, rows[:, None], np.ones((len(rows), 1)), lambda: curvature)
 
     def moved(self, rows: Ints, weight: Reals, x: Reals, t: float, history: History) -> Reals:
         """(p, 3) relative motion of some contacts since the start of the step (m)."""
@@ -123,12 +124,10 @@ class SelfContact:
 
     def geometry(self, rows: Ints, x: Reals, t: float, history: History) -> Geometry:
         """That of some contacts, whose gaps are finite."""
-        vertex = history.candidates.vertex[rows]
-        c = self._closest(history.candidates, x)[rows]
-        normal, curvature = derivatives(c, x[vertex])
-        return Geometry(
-            c.distance - history.candidates.min_distance[rows], normal, curvature, vertex, c.weight
-        )
+        near = history.candidates
+        vertex, c = near.vertex[rows], self._closest(near, x)[rows]
+        gap, corner = c.distance - near.min_distance[rows], x[vertex]
+        return Geometry(gap, direction(c, corner), vertex, c.weight, partial(hessian, c, corner))
 
     def _closest(self, candidates: Candidates, x: Reals) -> Closest:
         """As `closest`, which is asked for again and again at the same positions."""

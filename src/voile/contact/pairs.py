@@ -1,6 +1,8 @@
 """Contacts that may carry a reaction, whatever the shell touches, and the algebra of their rows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,14 +16,20 @@ PENALTY = 1e5  # times rho: stiffness by which the equations eliminate the react
 @dataclass
 class Geometry:
     """Of p contacts: gap (m), its gradient by the relative position (p, 3) (along the normal, of length 1 where
-    distances are exact), and its Hessian (p, 3s, 3s) 1/m over the s vertices of each contact; those `vertex` (p, s) and
-    their weights (p, s) in the relative position: 1 on an obstacle, which has one vertex."""
+    distances are exact), the s vertices `vertex` (p, s) of each contact and their weights (p, s) in the relative
+    position: 1 on an obstacle, which has one vertex; hessian: makes `curvature`, which norms and searches do not
+    need."""
 
     gap: Reals
     gradient: Reals
-    curvature: Reals
     vertex: Ints
     weight: Reals
+    hessian: Callable[[], Reals]
+
+    @cached_property
+    def curvature(self) -> Reals:
+        """(p, 3s, 3s) the gap's Hessian over the vertices (1/m)."""
+        return self.hessian()
 
 
 @dataclass

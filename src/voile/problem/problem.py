@@ -71,7 +71,7 @@ class Problem:
         self.held, self.supported = bool(along.any()), bool(along.all())
         self.moves = bool(comm.allreduce(part.supports.move, op=MPI.LOR))
         self._length = bounding_size(part.points, comm)
-        self._assembly = Assembly(part, self.directors, comm)
+        self.assembly = Assembly(part, self.directors, comm)
         self._seen = Seen()
 
     def _kept_by_piece(self) -> Reals:
@@ -174,16 +174,7 @@ class Problem:
 
     def create_matrix(self) -> PETSc.Mat:
         """A matrix with the tangent's pattern; its values are written in place by `tangent`."""
-        return self._assembly.create(self.kernel)
-
-    @property
-    def coupled(self) -> Ints:
-        """(k,) codes of the pairs of vertices that contacts have coupled so far, which matrices have room for."""
-        return self._assembly.coupled
-
-    def couple(self, codes: Ints) -> None:
-        """Gives matrices the pattern that they had with `coupled` pairs: the same digits take the same pattern."""
-        self._assembly.coupled = codes
+        return self.assembly.create(self.kernel)
 
     def local(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """Displacements (3 local vertices,) and director angles (local edges,) of unknowns y, supports included."""
@@ -283,20 +274,20 @@ class Problem:
         if not self.everywhere(not np.any(shift)):
             blocks.append(mass_blocks(self.vertex_mass(), np.reshape(shift, (-1, 1))))
         likely = self.contact.history.candidates.vertex if self.contact else None
-        self._assembly.prepare(matrix, self.kernel, blocks, likely)
+        self.assembly.prepare(matrix, self.kernel, blocks, likely)
         for term in self.terms:
             term.prepare(at)
         with self.elastic.timed():
             for term in self.terms:
-                term.scatter(at, kind, self._assembly.scatter)
-            self._assembly.add(matrix, blocks)
+                term.scatter(at, kind, self.assembly.scatter)
+            self.assembly.add(matrix, blocks)
             matrix.assemble()
 
     def assemble(self, matrix: PETSc.Mat, blocks: Reals, at_vertices: Blocks = ()) -> None:
         """Writes blocks of triangles (m, 21, 21) and of vertices to a `create_matrix` matrix, symmetric or not."""
-        self._assembly.prepare(matrix, self.kernel, at_vertices)
-        self._assembly.scatter.assemble(blocks)
-        self._assembly.add(matrix, at_vertices)
+        self.assembly.prepare(matrix, self.kernel, at_vertices)
+        self.assembly.scatter.assemble(blocks)
+        self.assembly.add(matrix, at_vertices)
         matrix.assemble()
 
     def add_skew(self, direction: PETSc.Vec, f: PETSc.Vec) -> None:

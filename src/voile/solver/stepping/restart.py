@@ -28,7 +28,7 @@ def packed(problem: Problem, path: TimePath) -> Arrays:
     y.axpy(1.0, problem.layout.origin)
     found = {name: getattr(k, name) for name in FIELDS}
     found |= {"y": y.array_r.copy(), "pushed": path.pushed, "sides": problem.elastic.sides}
-    found["coupled"] = problem.coupled
+    found["coupled"] = problem.assembly.coupled
     if k.before:
         found |= {"before.positions": k.before.positions, "before.velocity": k.before.velocity}
         found["before.step"] = np.array(k.before.step)
@@ -73,14 +73,16 @@ def unpacked_history(found: Arrays, partners: int) -> History:
 def packed_state(problem: Problem, state: State) -> Arrays:
     """A state's arrays; displacements count from the start shape."""
     y = state.unknowns.array_r + state.origin.array_r
-    return {"y": y, "coupled": problem.coupled} | (packed_history(state.history) if state.history else {})
+    return {"y": y, "coupled": problem.assembly.coupled} | (
+        packed_history(state.history) if state.history else {}
+    )
 
 
 def unpacked_state(problem: Problem, found: Arrays, time: float) -> State:
     """That of `packed_state`, at a time."""
     y, contact = problem.create_vector(), problem.contact
     y.array[:] = found["y"]
-    problem.couple(found["coupled"])
+    problem.assembly.coupled = found["coupled"]
     history = unpacked_history(found, len(contact.partners)) if contact else None
     return State(y, problem.create_vector(), history, time)
 
@@ -136,7 +138,7 @@ def unpacked(problem: Problem, found: Arrays) -> TimePath:
     if "supports.forces" in found:
         path.supporting = Supporting(*(found[f"supports.{f.name}"] for f in fields(Supporting)))
     problem.elastic.take_sides(found["sides"])
-    problem.couple(found["coupled"])
+    problem.assembly.coupled = found["coupled"]
     path.methods = found["methods"].tobytes().decode().split("\n") if len(found["methods"]) else []
     said = json.loads(found["said"].tobytes())
     path.last = said["last"] and TimeStep(**said["last"])
