@@ -265,6 +265,18 @@ def test_tables_of_other_tasks_change_nothing(study, tmp_path):
     assert not any("time step" in row["changes"] for row in rows)
 
 
+def test_facets_that_refinement_keeps_are_told(study, tmp_path):
+    """Of a strip bent to an arc; nothing is said of the flat one, nor where they are rounded."""
+    path = study(f'{HEAD}measure = "energy"\nreference = 1.0\n[vary]\nrefine = [0, 1]\n')
+    assert "the facets" not in voile("study", path, "-o", tmp_path / "flat").stdout
+    points, triangles = generator("strip").strip(length=1.0, width=0.1, size=0.1)
+    x, y, z = points.T
+    write_obj(tmp_path / "strip.obj", np.column_stack([np.sin(x), y, 1.0 - np.cos(x) + z]), triangles)
+    assert "refine keeps the facets" in voile("study", path, "-o", tmp_path / "bent").stdout
+    path.write_text(path.read_text() + '"shell.refine_smooth" = [true]\n')
+    assert "the facets" not in voile("study", path, "-o", tmp_path / "rounded").stdout
+
+
 def test_a_measure_that_only_runs_can_tell_is_missing(study, tmp_path):
     path = study(HEAD + 'measure = "smallest_eigenvalue"\nreference = 1.0\n[vary]\nrefine = [0]\n')
     run = voile("study", path, "-o", tmp_path / "out")

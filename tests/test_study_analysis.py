@@ -12,7 +12,7 @@ from voile.errors import InputError
 from voile.mesh import read_mesh, refine, write_obj
 from voile.study import report
 from voile.study.analysis import analyse
-from voile.study.execute import Record, Runs, launcher
+from voile.study.execute import Record, Runs, _last_line, launcher
 from voile.study.measures import figure, mean_weights
 from voile.study.plan import read_plan
 from voile.study.series import extrapolate, rate_to
@@ -269,6 +269,17 @@ def test_labels_of_neighbours_on_the_front_do_not_overlap():
     assert len(boxes) == 3
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     assert all(axes.bbox.contains(*corner) for box in boxes for corner in box.corners())
+
+
+def test_the_reason_is_what_the_program_said(tmp_path):
+    log = tmp_path / "log.txt"
+    for text, reason in (
+        ("load 1\nvoile: no such thing\n-----\nmpirun has exited\n-----\n", "no such thing"),
+        ("mpirun was not given a name\n------\n\n", "mpirun was not given a name"),
+        ("---\n", "exit code 1"),
+    ):
+        log.write_text(text)
+        assert _last_line(log, 1) == reason
 
 
 def test_what_cannot_start_runs_is_refused(monkeypatch):

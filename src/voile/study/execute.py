@@ -301,11 +301,12 @@ def _wait(child: subprocess.Popen[bytes], limit: float) -> tuple[int, float]:
 
 
 def _last_line(log: Path, code: int) -> str:
-    """What a process said last, without the program's name."""
+    """What a process said last, without the program's name; the program, if it did, before mpirun."""
     lines = log.read_text(errors="replace").splitlines()
     lines = [line for line in lines if any(sign.isalnum() for sign in line)]  # mpirun draws lines, too
     if code < 0:
         return f"ended by signal {-code} ({signal.Signals(-code).name})"
+    lines = [line for line in lines if line.startswith("voile: ")] or lines
     return lines[-1].removeprefix("voile: ") if lines else f"exit code {code}"
 
 

@@ -18,6 +18,7 @@ from voile.study.problems import FIGURES as OF_PROBLEMS
 from voile.study.problems import Problem
 from voile.study.schema import Point, Study
 
+FACETS = 1e-6  # of the size: how far midpoints lie off a smooth surface, and not by round-off
 DISPLACEMENT, ENERGY = "max_displacement", "energy"
 # Figures of summaries: names below each, () where there are none, None where tasks add their own.
 _CONTACT = ("active", "stick", "slip", "max_penetration", "friction_error")
@@ -118,6 +119,16 @@ def surface_of(scene: Scene) -> Surface:
     spec = scene.shell
     surface = read_mesh(spec.mesh, spec.scale, spec.seams, spec.joints)
     return refine(surface, spec.refine, f"{scene.path}: shell.refine", spec.refine_smooth)
+
+
+def keeps_facets(scene: Scene) -> bool:
+    """Whether refinement by midpoints keeps facets, or corners of the border, of a mesh that stands for a smooth shell:
+    its limit is theirs."""
+    spec = scene.shell
+    surface = read_mesh(spec.mesh, spec.scale, spec.seams, spec.joints)
+    at = f"{scene.path}: shell.refine"
+    middle, smooth = (refine(surface, 1, at, rounded).points for rounded in (False, True))
+    return bool(np.abs(smooth - middle).max() > FACETS * np.ptp(surface.points, axis=0).max())
 
 
 def _selected(surface: Surface, point: Point) -> Ints:

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from voile.files import replace
+from voile.scene import Scene
 from voile.study.analysis import Choice, Findings, Row
 from voile.study.execute import CONVERGED, Runs
+from voile.study.measures import keeps_facets
 from voile.study.schema import EXTRAPOLATE, Known
 from voile.study.series import Series
 from voile.study.settings import DISCRETE, ITERATION, MODEL, TIME, plain, told
@@ -224,7 +226,18 @@ def _table(findings: Findings) -> list[str]:
             f"the reference of {', '.join(findings.guesses)} is a guess, further off than the value changed last: "
             "finer runs tell more"
         )
-    return [*rows, *below]
+    return [*rows, *below, *_facets(findings)]
+
+
+def _facets(findings: Findings) -> list[str]:
+    """A line where runs refine a curved mesh and keep its facets."""
+    scenes = [row.run.scene for row in findings.rows if "refine" in findings.plan.varied]
+    refined = [s for s in scenes if isinstance(s, Scene) and s.shell.refine and not s.shell.refine_smooth]
+    if not refined or not keeps_facets(refined[0]):
+        return []
+    return [
+        "refine keeps the facets of a curved mesh, and limits are theirs; shell.refine_smooth = true rounds them"
+    ]
 
 
 def _rate_lines(findings: Findings) -> list[str]:
