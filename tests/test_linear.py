@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _projective, launch
-from voile.solver.linear import Counts, LinearSolver, symmetric, unsymmetric
+from voile.solver.linear import Counts, LinearSolver, Symmetric, factored, symmetric, unsymmetric
 
 SIDE = 20
 
@@ -172,3 +172,12 @@ def test_an_option_that_chooses_a_solver_leaves_that_one_alone(words, which):
     )
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
     assert done.stdout.split()[:1] == [which], done.stderr  # newer PETSc adds a warning
+
+
+def test_a_shift_below_the_spectrum_is_factored_once():
+    """And by L L^T; SLEPc's own solver factored it again."""
+    counts, plane = Counts(), petsc(laplacian())
+    solver = factored(plane, counts, definite=True)
+    assert isinstance(solver, Symmetric) and solver.negative == 0 and counts.factorisations == 1
+    assert error(solver, laplacian()) < 1e-11
+    assert factored(petsc(laplacian(0.15)), definite=True).negative == 3

@@ -18,7 +18,7 @@ from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
-from voile.solver.linear import factored, factorisation_error, use_lu
+from voile.solver.linear import counting, factored, factorisation_error, use_lu
 
 MOST = 40  # Newton iterations of one step
 SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
@@ -38,12 +38,11 @@ FOLDED = 170.0  # degrees, between the normals of triangles, where tan(angle / 2
 
 @dataclass
 class DirectStep:
-    """A converged step: load fraction, iterations, norm of the residual (N), negative eigenvalues of the tangent."""
+    """A converged step: load fraction, iterations, norm of the residual (N)."""
 
     fraction: float
     iterations: int
     residual: float
-    negative: int
 
 
 @dataclass
@@ -84,6 +83,7 @@ class Direct:
         self.lu.setOptionsPrefix("inverse_")
         use_lu(self.lu)
         self.lu.setFromOptions()
+        self.inertia = counting(self.problem.comm)
 
     @property
     def problem(self) -> Problem:
@@ -109,17 +109,15 @@ class Direct:
             path.rest.copy(z)
             reason, norm, iterations = self.solve(z, fraction)
             path.iterations += iterations
-            negative = None if reason else self.negative(z)
-            if reason or negative:
+            if reason or not self.stable(z):
                 path.step *= 0.5
-                if negative:
+                if not reason:
                     path.critical, path.lost = fraction, z.copy()
                 path.reason = reason
                 continue
-            assert negative is not None
             path.fraction, path.residual = fraction, norm
             z.copy(path.rest)
-            path.steps.append(DirectStep(fraction, iterations, norm, negative))
+            path.steps.append(DirectStep(fraction, iterations, norm))
             if on_step:
                 on_step(path.steps[-1])
             if path.critical is not None:
@@ -153,7 +151,7 @@ class Direct:
             away.copy(self.moved)
             ahead, trial = max(left - step, 0.0), z.copy()
             self.moved.scale(ahead)
-            if self.solve(trial, 1.0)[0] or self.negative(trial):
+            if self.solve(trial, 1.0)[0] or not self.stable(trial):
                 step *= 0.5
                 continue
             z, left, step = trial, ahead, 2.0 * step
@@ -165,9 +163,9 @@ class Direct:
         z = guess.copy()
         self._relax(z)
         reason, norm, iterations = self.solve(z, 1.0)
-        if reason or self.negative(z):
+        if reason or not self.stable(z):
             return None
-        step = DirectStep(1.0, iterations, norm, 0)
+        step = DirectStep(1.0, iterations, norm)
         if on_step:
             on_step(step)
         self._go_to(z, 1.0)
@@ -190,7 +188,7 @@ class Direct:
             before = f.norm()
             problem.tangent(y, self.tangent)
             self.tangent.zeroRowsColumns(vertices.astype(np.int32), 1.0)
-            solver = factored(self.tangent)
+            solver = factored(self.tangent, definite=True)
             solver.solve(f, step)
             solver.destroy()
             z.axpy(-1.0, step)
@@ -323,13 +321,9 @@ class Direct:
         stiffness = self.matrix.norm(PETSc.NormType.INFINITY)
         return float(max(ROUND_OFF * stiffness * self.problem.size(), force_floor(self.problem)))
 
-    def negative(self, z: PETSc.Vec) -> int:
-        """Negative eigenvalues of the tangent at the target, on what contact leaves free."""
-        solver = factored(self.target.stiffness(self.state(z)))
-        count = solver.negative
-        solver.destroy()
-        assert count is not None  # a Cholesky factorisation tells
-        return count
+    def stable(self, z: PETSc.Vec) -> bool:
+        """Whether the tangent at the target has no negative eigenvalue, on what contact leaves free."""
+        return self.inertia.positive(self.target.stiffness(self.state(z)))
 
 
 def _lost(fraction: float, critical: float) -> str:

@@ -17,7 +17,7 @@ from voile.problem.contact import with_obstacles
 from voile.problem.problem import Problem
 from voile.problem.rest import RestShape, field_vector
 from voile.problem.shell import Shell
-from voile.solver.linear import use_cholesky
+from voile.solver.linear import Counts, symmetric
 from voile.solver.path import StaticsOptions
 from voile.solver.statics import solve_statics
 
@@ -60,9 +60,7 @@ class Observation:
         self.state: PETSc.Vec | None = None
         self.simulations = 0
         self.stable, self.reason = False, ""  # of the last one's end; why it has none
-        self._factor = PETSc.PC().create(comm=problem.comm)
-        use_cholesky(self._factor)
-        self._factor.setFromOptions()
+        self._solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts())
         self._tangent = problem.create_matrix()
 
     # ---- parameters ----
@@ -145,8 +143,7 @@ class Observation:
     def slopes(self, y: PETSc.Vec, values: dict[str, float]) -> Reals:
         """(own unknowns, k) change of an equilibrium without contact by the logarithms of parameters, -K^-1 dR/dp."""
         self.problem.tangent(y, self._tangent)
-        self._factor.setOperators(self._tangent)
-        self._factor.setUp()
+        self._solver.factor(self._tangent)
         columns = []
         for name, value in values.items():
             if self.woven:
@@ -155,7 +152,7 @@ class Observation:
                 slope = self.rest.fabric_derivative(y, name)
                 slope.scale(value)
             moved = slope.duplicate()
-            self._factor.apply(slope, moved)
+            self._solver.solve(slope, moved)
             columns.append(np.where(self.seen, -moved.array_r, 0.0))
         return np.stack(columns, axis=1)
 

@@ -220,6 +220,17 @@ class LinearSolver:
         return bool(percent <= MOST_WORK_SPACE)
 
 
+class Inverse:
+    """Context of a PETSc PC of type python: a matrix that is factored, so that its solves are counted."""
+
+    def __init__(self, solver: LinearSolver):
+        self.solver = solver
+
+    def apply(self, _: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """x = A^-1 b."""
+        self.solver.solve(b, x)
+
+
 class Fronts:
     """Context of a PETSc PC of type python: L L^T (`_projective.Definite`) or L U (`General`) on one rank, by
     threads, to the same digits."""
@@ -326,12 +337,13 @@ class Symmetric(Unsymmetric):
         return self.factor_definite(matrix)
 
 
-def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts) -> LinearSolver:
-    """What solves symmetric systems by a KSP of a kind, as options without prefix say; without such by L L^T first
-    where one rank does it all."""
+def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts, prefix: str = "") -> LinearSolver:
+    """What solves symmetric systems by a KSP of a kind, as options of a prefix say; without such by L L^T first where
+    one rank does it all."""
 
     def ksp() -> PETSc.KSP:
         made = PETSc.KSP().create(comm=comm)
+        made.setOptionsPrefix(prefix)
         made.setType(kind)
         made.setTolerances(rtol=tolerance)
         use_cholesky(made.pc)
@@ -339,7 +351,7 @@ def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts) -> Li
         return made
 
     direct = LinearSolver(ksp(), counts)
-    return direct if _chosen() or comm.size > 1 else Symmetric(direct, ksp())
+    return direct if _chosen(prefix) or comm.size > 1 else Symmetric(direct, ksp())
 
 
 def unsymmetric(comm: MPI.Comm, prefix: str, counts: Counts) -> LinearSolver:
@@ -363,16 +375,17 @@ def _chosen(prefix: str = "") -> bool:
     return any(name.startswith(tuple(prefix + word for word in CHOICES)) for name in PETSc.Options().getAll())
 
 
-def factored(matrix: PETSc.Mat, counts: Counts | None = None, prefix: str = INERTIA) -> LinearSolver:
-    """A solver of one symmetric matrix, factored by LDL^T, which counts negative eigenvalues: options of the systems'
-    solver, which may not, do not hold for it but by its own prefix."""
-    ksp = PETSc.KSP().create(comm=matrix.comm)
-    ksp.setOptionsPrefix(prefix)
-    set_defaults({prefix + name: value for name, value in DEFAULTS.items()})
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    use_cholesky(ksp.pc)
-    ksp.pc.setFromOptions()
-    solver = LinearSolver(ksp, counts or Counts())
+def counting(comm: MPI.Comm, counts: Counts | None = None) -> LinearSolver:
+    """What factors symmetric matrices and counts their negative eigenvalues: options of the systems' solver, which may
+    not, do not hold for it but by its own prefix."""
+    set_defaults({INERTIA + name: value for name, value in DEFAULTS.items()})
+    return symmetric(comm, PETSc.KSP.Type.PREONLY, 0.0, counts or Counts(), INERTIA)
+
+
+def factored(matrix: PETSc.Mat, counts: Counts | None = None, definite: bool = False) -> LinearSolver:
+    """A solver of one symmetric matrix that counts its negative eigenvalues; definite: where it mostly has none."""
+    solver = counting(matrix.comm, counts)
+    solver = solver if definite else solver.indefinite
     solver.factor(matrix)
     return solver
 

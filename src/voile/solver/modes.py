@@ -22,7 +22,7 @@ from voile.arrays import Reals
 from voile.errors import NotConverged
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.solver.linear import Counts, LinearSolver, factored
+from voile.solver.linear import Counts, Inverse, LinearSolver, factored
 from voile.solver.stability import below_spectrum, contact_tangent, factored_beside
 
 NEAR = 64.0  # bending rates from zero to the shift: about the lowest omega^2 of a cantilever plate
@@ -77,7 +77,7 @@ def buckling(problem: Problem, y: PETSc.Vec, count: int, counts: Counts) -> Mode
     """The lowest load factors above the problem's at which its structure, linearised at y, buckles; less where there
     are fewer. Raises NotConverged where it is not stable itself."""
     stiffness = _tangent(problem, y)
-    solver = factored(stiffness, counts)
+    solver = factored(stiffness, counts, definite=True)
     if solver.negative or not solver.usable:
         raise NotConverged(
             f"modes.buckling: at load factor {problem.time:g} the structure is not stable, so nothing is left to "
@@ -158,16 +158,6 @@ def _rate(problem: Problem, y: PETSc.Vec, solver: LinearSolver) -> tuple[PETSc.V
     return response, (layout.held(t + step) - layout.held(t - step)) / (2.0 * step)
 
 
-class _Inverse:
-    """PETSc's view of a factored matrix, so that its solves are counted."""
-
-    def __init__(self, solver: LinearSolver):
-        self.solver = solver
-
-    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        self.solver.solve(b, x)
-
-
 @dataclass
 class Pencil:
     """K x = mu G x over a problem's unknowns."""
@@ -184,7 +174,7 @@ class Pencil:
         shift = values[0] if len(values) else 0.0
         for _ in range(SEARCHES if shift else 0):
             shift *= BELOW
-            near = factored_beside(self.stiffness, self.other, shift, self.counts)
+            near = factored_beside(self.stiffness, self.other, shift, self.counts, definite=True)
             if near.usable and not near.negative:
                 solver.destroy()
                 return shift, near
@@ -245,7 +235,7 @@ class Pencil:
         ksp = eps.getST().getKSP()
         ksp.setType(PETSc.KSP.Type.PREONLY)
         ksp.pc.setType(PETSc.PC.Type.PYTHON)
-        ksp.pc.setPythonContext(_Inverse(solver))
+        ksp.pc.setPythonContext(Inverse(solver))
         eps.setFromOptions()
         eps.solve()
         values, vectors = [], []

@@ -10,7 +10,7 @@ from voile.problem.imperfection import imperfection
 from voile.problem.problem import Problem
 from voile.problem.scales import slow_rate
 from voile.problem.state import State
-from voile.solver.linear import Counts, LinearSolver, factored, use_cholesky
+from voile.solver.linear import Counts, Inverse, LinearSolver, factored
 from voile.solver.methods.method import Workspace
 
 KICKS = 5  # attempts to leave a saddle, each four times further
@@ -70,7 +70,6 @@ def smallest_eigenpair(
     eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     shift, solver = below_spectrum(tangent, mass, -scale, counts)
-    solver.destroy()
     eps.setTarget(shift)
     eps.setDimensions(1)
     eps.setTolerances(1e-6, 200)
@@ -78,16 +77,18 @@ def smallest_eigenpair(
     st.setType(SLEPc.ST.Type.SINVERT)
     ksp = st.getKSP()
     ksp.setType(PETSc.KSP.Type.PREONLY)
-    use_cholesky(ksp.pc)
+    ksp.pc.setType(PETSc.PC.Type.PYTHON)
+    ksp.pc.setPythonContext(Inverse(solver))
     first = imperfection(problem)
     eps.setInitialSpace([first])
     eps.setFromOptions()
-    with counts.factorising():
-        eps.solve()
-    if eps.getConverged() < 1:
-        return math.nan, problem.create_vector()
+    eps.solve()
     mode = problem.create_vector()
-    value = eps.getEigenpair(0, mode).real
+    value = eps.getEigenpair(0, mode).real if eps.getConverged() else math.nan
+    eps.destroy()
+    solver.destroy()  # eigenvectors ask for solves, too
+    if math.isnan(value):
+        return value, mode
     if abs(value) <= _round_off(tangent, mass, mode):
         value = 0.0
     sign = math.copysign(1.0, mode.dot(first))
@@ -109,7 +110,7 @@ def below_spectrum(
     """A shift (1/s^2) below all eigenvalues of K v = omega^2 M v, from a negative one on fourfold lower each time, and
     K - shift M, factored; its `negative` is above 0 where LOWERED times do not get there."""
     for _ in range(LOWERED):
-        solver = factored_beside(stiffness, mass, shift, counts)
+        solver = factored_beside(stiffness, mass, shift, counts, definite=True)
         if not solver.negative:
             break
         solver.destroy()
@@ -117,8 +118,10 @@ def below_spectrum(
     return shift, solver
 
 
-def factored_beside(stiffness: PETSc.Mat, other: PETSc.Mat, shift: float, counts: Counts) -> LinearSolver:
-    """K - shift G, factored; its matrix belongs to the solver."""
+def factored_beside(
+    stiffness: PETSc.Mat, other: PETSc.Mat, shift: float, counts: Counts, definite: bool = False
+) -> LinearSolver:
+    """K - shift G, factored, see `factored`; its matrix belongs to the solver."""
     shifted = stiffness.copy()
     shifted.axpy(-shift, other, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-    return factored(shifted, counts)
+    return factored(shifted, counts, definite)

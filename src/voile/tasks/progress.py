@@ -76,7 +76,7 @@ class Progress:
         """One step of the rest shape's continuation."""
         self.line(
             f"load {step.fraction:.4f}  rest shape in {step.iterations} iterations  residual {step.residual:.2e} N  "
-            f"{step.negative} negative eigenvalues  {time.perf_counter() - self.began:.1f} s"
+            f"stable  {time.perf_counter() - self.began:.1f} s"
         )
 
     def nearest(self, step: NearestStep) -> None:
