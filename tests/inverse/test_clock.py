@@ -8,9 +8,11 @@ import pytest
 from inverse_shells import folded_skirt
 from mpi4py import MPI
 from test_direct import heavy_strip
+from test_panels import cone_skirt
 
 from voile.errors import NotConverged
 from voile.inverse.adjoint import minimise
+from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, Told, solve_inverse
 from voile.inverse.target import Target
@@ -112,3 +114,23 @@ def test_what_goes_wrong_after_the_time_is_over_is_its_doing():
         clock.ended = ended
         with pytest.raises(raised), until(clock):
             raise ValueError
+
+
+@pytest.mark.parametrize("seconds", [0, 3])
+def test_panels_are_laid_flat_in_time(counting, monkeypatch, seconds):
+    """230 iterations and 44 s before a search of 2 s, once."""
+    whole, flat = cone_skirt(12, 4, young=1e7)
+    target = Target(Problem(whole, MPI.COMM_SELF), whole, [], 0.0, 1e-3)
+    z, prepare, tries = target.rest.create(), DevelopableRest._prepare, []
+    z.array[:] = 5e-3 * np.sin(np.arange(z.getSize()) ** 2)
+    monkeypatch.setattr(DevelopableRest, "_prepare", lambda *words: (tries.append(1), prepare(*words)))
+    target.clock = Clock(MPI.COMM_SELF, float(seconds))
+    found = start_of_panels(target, whole, z, flat)
+    if seconds:
+        assert len(tries) <= seconds and found is flat.coordinates
+        with pytest.raises(
+            NotConverged, match="angle defect .* is left; inverse.max_seconds ended its search"
+        ):
+            DevelopableRest(target, whole).set(z, target.clock.over)
+    else:
+        assert len(tries) > 3 and found is not flat.coordinates

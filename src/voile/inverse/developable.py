@@ -10,6 +10,7 @@ so every shape that is simulated satisfies them to round-off; derivatives are pr
 of the adjoint method like any other: no multipliers, no penalty.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -28,6 +29,7 @@ from voile.problem.shell import Shell
 from voile.solver.linear import use_lu
 
 FLAT = 1e-10  # rad, largest angle defect of a shape that is taken as developable
+ENDED = "inverse.max_seconds ended its search"
 MOST = 400  # Newton iterations of a projection
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-13  # of the largest diagonal entry
 
@@ -133,8 +135,9 @@ class DevelopableRest:
         """A zero vector of design variables: those of the surface's rest shape."""
         return self.rest.create()
 
-    def set(self, z: PETSc.Vec) -> None:
-        """Gives the problem the developable rest shape nearest to z. Raises NotConverged where there is none near."""
+    def set(self, z: PETSc.Vec, over: Callable[[], bool] = lambda: False) -> None:
+        """Gives the problem the developable rest shape nearest to z. Raises NotConverged where there is none near, or
+        its time is over before. Collective."""
         self.projected = z.copy()
         self.rest.set(self.projected)
         before, damping = self._norm(), FIRST_DAMPING
@@ -142,6 +145,8 @@ class DevelopableRest:
             if self.largest_defect() < FLAT:
                 self._prepare(0.0)
                 return
+            if over():
+                raise NotConverged(f"{self._missed()}; {ENDED}")
             self._prepare(damping)
             trial = self.projected.copy()
             trial.axpy(-1.0, self._correction())
@@ -243,12 +248,12 @@ def start_of_panels(
     target: Target, shell: Shell | None, z: PETSc.Vec, flat: FlatPanels | None
 ) -> Reals | None:
     """(p, 2) m on rank 0: the panels of the developable shape nearest to the rest shape z, which hang nearer to the
-    target than the target laid flat does; `flat` itself where there is none, or where its panels overlap. The shell has
-    `flat` as rest shape; both on rank 0."""
+    target than the target laid flat does; `flat` itself where there is none, where its panels overlap, or where the
+    target's clock is over. The shell has `flat` as rest shape; both on rank 0."""
     seams = None if shell is None else _on_seams(shell)
     design, points = DevelopableRest(target, shell, seams), None
     try:
-        design.set(z)
+        design.set(z, target.clock.over)
         points = gathered(target.problem, target.x + target.problem.motion(design.projected))
     except NotConverged:
         pass

@@ -269,7 +269,7 @@ class Search:
         target = self.target
         target.load(1.0)
         design = DevelopableRest(target, shell, exempt)
-        design.set(z)
+        design.set(z, target.clock.over)
         adjoint = self.minimise(design.projected, design)
         design.set(adjoint.rest)
         found, trade = design.projected.copy(), []
