@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -16,6 +17,18 @@ from crew import Crew
 MPI_PREFIXES = ("OMPI_", "PMIX_", "ORTE_", "OPAL_", "PMI_", "PRTE_")
 
 MpiRun = Callable[[int, Sequence[str], float], subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(autouse=True)
+def freed() -> Iterator[None]:
+    """A test's solvers end with it, as a run's do. Workers kept them all: up to 3 GB."""
+    if "petsc4py.PETSc" not in sys.modules:
+        yield
+        return
+    from voile.problem.lifetime import run_of_its_own
+
+    with run_of_its_own():
+        yield
 
 
 @pytest.fixture(scope="session")
