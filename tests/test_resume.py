@@ -192,11 +192,11 @@ def test_no_run_goes_on_in_a_damaged_folder(write, tmp_path, capsys):
         refused("result.vtkhdf", change)
     for last in (b"2x1 6\n", b"\xf7 1 6\n", b"2 1 6\n2 1 6\n"):
         refused("restart/last", lambda path, last=last: path.write_bytes(last))
-    (arrays,) = (path.name for path in (whole / "restart").glob("*.npz"))
+    step = (whole / "restart" / "last").read_text().split()[0]  # a kill may leave the one before beside it
 
     def repack(path):  # in a way that no one knows
         data = path.read_bytes()
         place = data.index(b"PK\x01\x02") + 10
         path.write_bytes(data[:place] + b"\x63" + data[place + 1 :])
 
-    refused(f"restart/{arrays}", repack)
+    refused(f"restart/{step}-0.npz", repack)

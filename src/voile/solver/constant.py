@@ -81,6 +81,7 @@ def _alike(problem: Problem) -> list[Ints]:
 def _factor(matrix: sp.csr_matrix, rows: Ints) -> _projective.Cholesky:
     """Of the block of some unknowns of a matrix."""
     part = matrix[rows][:, rows]
+    part = 0.5 * (part + part.T).tocsr()  # where round-off leaves zeros on one side only
     part.eliminate_zeros()
     part.sort_indices()
     return _projective.Cholesky(part.indptr.astype(np.int32), part.indices.astype(np.int32), part.data)
