@@ -104,7 +104,7 @@ def supports_move(shell: Shell) -> bool:
     return bool(shell.motion.any()) or any(motion.moves for _, motion in shell.moves)
 
 
-FACTORS = "CHOLMOD LL^T on one rank, MUMPS LDL^T on several and where that fails"
+FACTORS = "LL^T by fronts on one rank, MUMPS LDL^T on several and where that fails"
 SYSTEMS = "systems by CG or GMRES with ILU(0), by factors in steps where these do not converge"
 
 
