@@ -86,7 +86,7 @@ def test_factors_start_no_threads():
 @pytest.mark.parametrize("kind", [_projective.Definite, _projective.General])
 def test_threads_change_no_digit(kind):
     """Subtrees of fronts in threads; each front adds up what its children give in the same order."""
-    a = sp.csr_matrix(laplacian(-0.1, 200) @ laplacian(-0.1, 200))
+    a = sp.csr_matrix(laplacian(-0.1, 150) @ laplacian(-0.1, 150))
     b = np.random.default_rng(2).standard_normal(a.shape[0])
     bent = a.data.copy()
     bent[a.indptr[-2] :] *= -1.0 if kind is _projective.Definite else np.nan  # the last row

@@ -154,7 +154,7 @@ def test_books_close_to_1e_8_whatever_the_tolerance(scheme):
     [(name, SchemeOptions()) for name in SCHEMES]
     + [("moreau-jean", SchemeOptions(theta=0.5, keeps="nothing"))],
 )
-@pytest.mark.parametrize("stiffness", [0.0, 1e-4])
+@pytest.mark.parametrize("stiffness", [0.0, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_an_end_moment_works_by_what_its_edge_turns(scheme, asked, stiffness):
     """A moment that grows and then acts bends a strip with much damping: in the end as at rest. Of its work a half is
     stored, and what it works while it is whole is M times the turn."""
