@@ -11,7 +11,9 @@ from voile.contact.crossing import entries
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
 from voile.problem.damping import Air, Damping
+from voile.solver.methods.method import Outcome
 from voile.solver.path_in_time import TimeOptions
+from voile.solver.stepping.newton_step import NewtonStep
 from voile.solver.stepping.schemes import SCHEMES, SchemeOptions
 from voile.solver.stepping.time_path import Stepper
 
@@ -50,6 +52,26 @@ def test_a_fast_sheet_stays_above_a_thin_mesh():
     run = move(shell, "implicit-euler", 5e-3, 0.02, np.array([0.0, 0.0, -30.0]), [body], 5e-4, tolerance=1e-6)
     assert run.path.converged
     assert min(x[:, 2].min() for x in run.positions) > 1e-3 - 2e-4
+
+
+@pytest.mark.parametrize("until", [0.03 + 2e-5, 1.0])
+def test_a_run_that_goes_on_in_tiny_steps_ends(monkeypatch, until):
+    """Where from 0.03 s on only tiny steps converge; not where they lead back to longer ones."""
+    solve, ends = NewtonStep.solve, [0.0]
+
+    def reluctant(self, problem, y, tolerance):
+        if 0.03 < problem.time < until and problem.time - ends[-1] > 3e-6:
+            return Outcome(False, "", "not so fast")
+        outcome = solve(self, problem, y, tolerance)
+        ends.append(problem.time if outcome.converged else ends[-1])
+        return outcome
+
+    monkeypatch.setattr(NewtonStep, "solve", reluctant)
+    path = move(cloth(*sheet(2, 2, 0.2, 0.2)), "implicit-euler", 0.01, 0.06).path
+    assert path.converged == (until < 0.06)
+    if not path.converged:
+        assert 0.03 < path.time < 0.03 + 51 * 3e-6 and path.reason.startswith("not so fast; at time 0.03")
+        assert "51 steps in a row were shorter than 0.001 of dynamics.time_step" in path.reason
 
 
 def test_a_blunt_field_is_blamed():

@@ -32,15 +32,18 @@ from voile.solver.stepping.schemes import ImplicitEuler, Kinematics, MoreauJean,
 
 @dataclass
 class Options:
-    """cut: of a step that failed. smallest: of the asked step, that is not cut any more. longer: of a step, over the
-    last one that was cut. close: of a step, that the end may be beyond it. rest: of the way that
-    the loads lead in a step from rest; an approach within it is no impact. digits: last places of the shell's size that
-    positions may err by. finest: of the asked step, that no local error (an impact's) makes shorter. closes: of
-    the most energy that there was, what the books may miss at the end; steps that take more than their share of it are
-    solved more sharply."""
+    """cut: of a step that failed. smallest: of the asked step, that is not cut any more. tiny: of the asked step; after
+    most_tiny such steps in a row, three times as many as lead back from the smallest, the run ends (a large moment on a
+    coarse strip went on in steps of 5e-7 of the asked). longer: of a step, over the last one that was cut. close: of a
+    step, that the end may be beyond it. rest: of the way that the loads lead in a step from rest; an approach within it
+    is no impact. digits: last places of the shell's size that positions may err by. finest: of the asked step, that no
+    local error (an impact's) makes shorter. closes: of the most energy that there was, what the books may miss at the
+    end; steps that take more than their share of it are solved more sharply."""
 
     cut: float = 0.25
     smallest: float = 1e-8
+    tiny: float = 1e-3
+    most_tiny: int = 50
     longer: float = 2.0
     close: float = 1e-6
     rest: float = 2.0
@@ -122,6 +125,7 @@ class Stepper:
             self._begin()
         if path.count and self._rests(self._speed()):  # a run that was killed after its last step
             return
+        tiny, failed = 0, ""  # steps so short, and why the last ones that were cut failed
         while path.time < asked.duration:
             h, end = self.path.length, path.time + self.path.length
             if asked.duration - path.time < (1.0 + self.options.close) * h:
@@ -129,6 +133,7 @@ class Stepper:
             path.attempts += 1
             done, outcome, wish = self._step(asked.scheme, h, end)
             if done is None:
+                failed = outcome.reason
                 path.length = min(self.options.cut * h, wish or h)
                 if path.length < self.options.smallest * asked.time_step or self.creation.nonsense:
                     nonsense = self.creation.nonsense
@@ -140,11 +145,16 @@ class Stepper:
             path.length = min(asked.time_step, grown)
             path.last, path.time = done, done.time
             path.methods.append(done.method)
+            tiny = tiny + 1 if h < self.options.tiny * asked.time_step and failed else 0
             self.y.copy(path.state)
             path.kinematics = self.kinematics
             if on_step:
                 on_step(done, path)
             if self._rests(done.speed):
+                return
+            if tiny > self.options.most_tiny:
+                short = f"{tiny} steps in a row were shorter than {self.options.tiny:g} of dynamics.time_step"
+                path.reason = f"{failed}; at time {path.time:g} s: {short}"
                 return
         path.converged, path.reason = True, "end of the simulated time"
 
