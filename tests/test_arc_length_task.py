@@ -262,7 +262,7 @@ def test_bad_scenes(scene, capsys, old, new, message):
 @pytest.mark.parametrize(
     ("text", "branch"),
     [
-        (THICK, 0),
+        pytest.param(THICK, 0, marks=pytest.mark.slow),
         pytest.param(ROOF.replace("[statics]", PLANE + "[statics]"), 0, marks=pytest.mark.slow),
         (COLUMN, 1),
     ],

@@ -35,13 +35,13 @@ class Options:
     """iterations: a buckling cloth takes up to 300 from a flat start, a balloon whose membrane wrinkles without bending
     1,910. sufficient: share of the predicted decrease that a step must reach (Armijo; Nocedal & Wright 2006). steep:
     share of the slope left after a whole step from which on a longer one is tried (their curvature condition).
-    shortest: relative step length at which the search gives up. patience: steps after which an indefinite exact Hessian is tried again; near the end it is what
-    converges. noise: relative size under which differences of the potential are round-off. mixed_steps: those of a
-    watchdog. far: share of the longest way of a vertex from which on one is held back where steps are short; the
-    others go on as they did. shift: of the mass (1/s^2), always added: for a shell that nothing holds. stiffer: times
-    the share of the safe matrix where a blend is not positive definite; hold: whole steps before the next lower share
-    is tried then. Of 2 to 4 and 0 to 3 these took the fewest factorisations of a skirt (273; 290 with 3 and 0). least:
-    share under which the exact Hessian is as likely to serve."""
+    shortest: relative step length at which the search gives up. patience: steps after which an indefinite exact Hessian
+    is tried again; near the end it is what converges. noise: relative size under which differences of the potential are
+    round-off. mixed_steps: those of a watchdog. far: share of the longest way of a vertex from which on one is held
+    back where steps are short; the others go on as they did. shift: of the mass (1/s^2), always added: for a shell that
+    nothing holds. stiffer: times the share of the safe matrix where a blend is not positive definite; hold: whole steps
+    before the next lower share is tried then. Of 2 to 4 and 0 to 3 these took the fewest factorisations of a skirt
+    (273; 290 with 3 and 0). least: share under which the exact Hessian is as likely to serve."""
 
     iterations: int = 4000
     sufficient: float = 1e-4
