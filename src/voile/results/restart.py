@@ -124,12 +124,12 @@ def newest_step(folder: Path, comm: MPI.Comm) -> int:
         last = folder / "restart" / "last"
         try:
             step, ranks, *form = map(int, last.read_bytes().split())
+            if form[1:]:
+                raise ValueError
         except OSError:
             raise InputError(f"{folder}: nothing there that a run could go on from (--resume)") from None
         except ValueError:
             raise InputError(f"{last}: damaged; a run cannot go on from it (--resume)") from None
-        if form[1:]:
-            raise InputError(f"{last}: damaged; a run cannot go on from it (--resume)")
         if form != [FORMAT]:
             raise InputError(
                 f"{folder}: another version of the program wrote it; allowed with --resume: the same"

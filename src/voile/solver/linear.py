@@ -7,7 +7,7 @@ several ranks all.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -275,8 +275,10 @@ class Unsymmetric(LinearSolver):
 
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """See LinearSolver."""
-        if self._by_fronts(matrix, operator):
-            return True
+        return self._by_fronts(matrix, operator) or self._otherwise(matrix, operator)
+
+    def _otherwise(self, matrix: PETSc.Mat, operator: PETSc.Mat | None) -> bool:
+        self._served = False
         self.usable = self.indefinite.factor(matrix, operator)
         self.negative = self.indefinite.negative
         return self.usable
@@ -308,17 +310,14 @@ class Symmetric(Unsymmetric):
 
     def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
         super().__init__(indefinite, ksp)
-        self._doubtful = (
-            False  # the last matrix of `factor` was not definite: the next one mostly is not, either
-        )
+        # Whether the last matrix of `factor` was not definite: the next one mostly is not, either.
+        self._doubtful = False
 
     def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
         """See LinearSolver."""
         if not self._doubtful and self.factor_definite(matrix, operator):
             return True
-        self._served = False
-        self.usable = self.indefinite.factor(matrix, operator)
-        self.negative = self.indefinite.negative
+        self._otherwise(matrix, operator)
         self._doubtful = bool(self.negative)
         return self.usable
 
@@ -340,34 +339,37 @@ class Symmetric(Unsymmetric):
 def symmetric(comm: MPI.Comm, kind: str, tolerance: float, counts: Counts, prefix: str = "") -> LinearSolver:
     """What solves symmetric systems by a KSP of a kind, as options of a prefix say; without such by L L^T first where
     one rank does it all."""
+    return _solver(Symmetric, use_cholesky, comm, kind, tolerance, counts, prefix)
+
+
+def unsymmetric(comm: MPI.Comm, prefix: str, counts: Counts) -> LinearSolver:
+    """What solves systems without symmetry, as options with a prefix say; without such by fronts first where one rank
+    does it all."""
+    return _solver(Unsymmetric, use_lu, comm, PETSc.KSP.Type.PREONLY, None, counts, prefix)
+
+
+def _solver(
+    by_fronts: type[Unsymmetric],
+    use: Callable[[PETSc.PC], None],
+    comm: MPI.Comm,
+    kind: str,
+    tolerance: float | None,
+    counts: Counts,
+    prefix: str,
+) -> LinearSolver:
+    """tolerance: of the KSP, None for PETSc's; use: chooses the factor where fronts do not serve."""
 
     def ksp() -> PETSc.KSP:
         made = PETSc.KSP().create(comm=comm)
         made.setOptionsPrefix(prefix)
         made.setType(kind)
         made.setTolerances(rtol=tolerance)
-        use_cholesky(made.pc)
+        use(made.pc)
         made.setFromOptions()
         return made
 
     direct = LinearSolver(ksp(), counts)
-    return direct if _chosen(prefix) or comm.size > 1 else Symmetric(direct, ksp())
-
-
-def unsymmetric(comm: MPI.Comm, prefix: str, counts: Counts) -> LinearSolver:
-    """What solves systems without symmetry, as options with a prefix say; without such by fronts first where one rank
-    does it all."""
-
-    def ksp() -> PETSc.KSP:
-        made = PETSc.KSP().create(comm=comm)
-        made.setOptionsPrefix(prefix)
-        made.setType(PETSc.KSP.Type.PREONLY)
-        use_lu(made.pc)
-        made.setFromOptions()
-        return made
-
-    direct = LinearSolver(ksp(), counts)
-    return direct if _chosen(prefix) or comm.size > 1 else Unsymmetric(direct, ksp())
+    return direct if _chosen(prefix) or comm.size > 1 else by_fronts(direct, ksp())
 
 
 def _chosen(prefix: str = "") -> bool:

@@ -125,9 +125,7 @@ class Books:
         problem, at = forces.problem, step.at
         start = between(forces.start, at, 0.0)
         way = 0.5 * forces.h * (before.velocity + step.after.velocity)
-        turned = (at.phi - forces.start.phi) / (
-            1.0 - forces.first
-        )  # of directors that follow at every instant
+        turned = (at.phi - forces.start.phi) / (1.0 - forces.first)  # directors follow at every instant
         wind = float(problem.comm.allreduce(forces.wind_work(at, step.prediction)))
         clamps, damped = map(float, problem.comm.allreduce(np.array(forces.clamp_work(at))))
         work = {name: self._work(force, way, turned) for name, force in step.acting.items()}
