@@ -195,6 +195,10 @@ def test_options_go_between_the_arguments_of_export(tmp_path, capsys):
     assert main(["export", result, "-o", named]) == 0 and capsys.readouterr().out.split() == [named]
     assert main(["export", result, named, "-o", named]) == 2 and " and output " in capsys.readouterr().err
     assert main(["export", result, str(out), "--to", "ply"]) == 2
+    assert "allowed: an output that ends in .ply" in capsys.readouterr().err
+    assert main(["export", result, "--to", "obj", "-o", named]) == 0 and capsys.readouterr().out.split() == [
+        named
+    ]
 
 
 def test_a_run_that_tests_no_stability_says_so(tmp_path, capsys):

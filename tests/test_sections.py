@@ -182,10 +182,12 @@ def test_the_command_tells_sections_wherever_the_scene_is(tmp_path, capsys):
     for words, told in (
         ([], "mesh.obj: no such mesh file"),
         (["--scene", str(new / "scene.toml"), "--step", "99"], "no step 99; allowed: 0 to"),
-        (["--scene", str(new / "scene.toml"), "name"], "allowed: key=value"),
+        (["--scene", str(new / "scene.toml"), "name"], "name: allowed: key=value, such as 'point=[0,0,1]'"),
+        (["point=[0,0"], "point=[0,0: the value is not TOML"),
     ):
         assert main([*cut, *words]) == 2
-        assert told in capsys.readouterr().err
+        error = capsys.readouterr().err
+        assert told in error and "--set" not in error
     assert main([*cut, "--scene", str(new / "scene.toml"), "--step", "-1"]) == 0
     assert "1: section 0: force (" in capsys.readouterr().out
     (new / "mesh.obj").write_text(cells(size=0.2))

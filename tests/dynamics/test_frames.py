@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from moving import cloth, move
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 from test_problem import sheet
 from test_runs_in_time import SCENE, scene
 
@@ -42,6 +43,17 @@ def test_what_touches_a_body_goes_with_it():
     step = 1e-6 * np.array([0.3, -0.5, 0.8])
     slope = (frames.distance(moved + step, 0.05) - frames.distance(moved - step, 0.05)) / 2.0
     np.testing.assert_allclose(slope, normal @ step, rtol=1e-4, atol=1e-11)
+
+
+def test_what_lies_off_a_body_turns_with_it():
+    """As far off as half a thickness, above faces, edges and corners of a coarse body."""
+    points, triangles = coarse_ball()
+    turn = Rotation.from_rotvec([0.2, -0.1, 0.15]).as_matrix()
+    shapes = np.array([points, points @ turn.T + [0.1, 0.0, 0.05]])
+    frames = Frames(shapes, 0.1, distance_field(points, triangles, 0.1), "ball")
+    on = np.vstack([points, points[triangles].mean(axis=1), points[triangles[:, :2]].mean(axis=1)])
+    off = on * (1.0 + 0.02 / np.linalg.norm(on, axis=1))[:, None]
+    np.testing.assert_allclose(frames.carry(off, 0.0, 0.1), off @ turn.T + [0.1, 0.0, 0.05], atol=1e-12)
 
 
 @pytest.mark.parametrize(

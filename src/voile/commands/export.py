@@ -17,7 +17,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", dest="named", metavar="OUTPUT", type=Path, help="the same, as other commands have it"
     )
-    parser.add_argument("--to", metavar="FORMAT", help="written beside the result, as shape or pattern")
+    parser.add_argument(
+        "--to", metavar="FORMAT", help="alone: written beside the result, as shape or pattern"
+    )
     parser.add_argument(
         "--step",
         type=int,
@@ -31,13 +33,13 @@ def run(args: argparse.Namespace) -> None:
     ends_at_once()
     from voile.post.export import PATTERNS, export
 
-    given = [f"output {path}" for path in (args.output, args.named) if path] + [f"--to {args.to}"] * bool(
-        args.to
-    )
-    if len(given) != 1:
-        raise InputError(
-            f"{' and '.join(given) or 'no output'}; allowed: an output file, or --to with a format"
-        )
-    name = "pattern" if f".{args.to}" in PATTERNS else "shape"
-    out = args.output or args.named or folder(args.file) / f"{name}.{args.to}"
+    given = [path for path in (args.output, args.named) if path]
+    if len(given) > 1 or not (given or args.to):
+        told = " and ".join(f"output {path}" for path in given) or "no output"
+        raise InputError(f"{told}; allowed: an output file, or --to with a format")
+    ending = f".{args.to}"
+    name = "pattern" if ending in PATTERNS else "shape"
+    out = given[0] if given else folder(args.file) / f"{name}{ending}"
+    if args.to and out.suffix.lower() != ending:
+        raise InputError(f"output {out} and --to {args.to}; allowed: an output that ends in {ending}")
     print(export(args.file, out, args.step))

@@ -8,6 +8,7 @@ from pathlib import Path
 from voile.errors import InputError, printable
 
 TEXT = "force and moment across a cut of a stored result"
+SUCH = "'point=[0,0,1]' 'normal=[0,0,-1]'"
 PARTS = ("force", "moment", "about")
 
 
@@ -18,7 +19,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "key",
         nargs="*",
         metavar="KEY=VALUE",
-        help="keys of [[section]], such as 'point=[0,0,1]' 'normal=[0,0,-1]'; default: the scene's own sections",
+        help=f"keys of [[section]], such as {SUCH}; default: the scene's own sections",
     )
     parser.add_argument(
         "--step", type=int, help="which stored step, from 0; negative from the end (default: all of them)"
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
     from voile.keys.overrides import parts_of
     from voile.post.info import exerted
 
-    keys = dict(parts_of(key) for key in args.key)
+    keys = dict(parts_of(key, "", SUCH) for key in args.key)
     with api.read(args.file, args.scene and api.load(args.scene)) as result:
         count = result.n_steps
         if args.step is not None and not -count <= args.step < count:

@@ -54,11 +54,16 @@ class Frames:
         gap, gradient, hessian = (np.sum(parts, axis=0) for parts in zip(*found, strict=True))
         return gap, gradient, hessian
 
-    def carry(self, p: Reals, start: float, end: float) -> Reals:
-        """(n, 3) where points near the body go with it."""
+    def carry(self, p: Reals, start: float, end: float, turns: bool = True) -> Reals:
+        """(n, 3) where points near the body go with it. What they are off their places, as by half a thickness, turns
+        with the triangles there, but where points may be anywhere."""
         if not len(p) or self.between(start) == self.between(end):
             return p
-        found: Reals = p + _at(self.at(end) - self.at(start), *self._nearest(p, start))
+        before, after, (corners, shares) = self.at(start), self.at(end), self._nearest(p, start)
+        found: Reals = p + _at(after - before, corners, shares)
+        if turns:
+            off = p - _at(before, corners, shares)
+            found += _turned(off, before[corners], after[corners]) - off
         return found
 
     def _nearest(self, p: Reals, t: float) -> tuple[Ints, Reals]:
@@ -111,6 +116,21 @@ class Frames:
 def _at(values: Reals, corners: Ints, shares: Reals) -> Reals:
     """(k, 3) of values (n, 3) of vertices, in triangles of vertices (k, 3) by shares (k, 3)."""
     found: Reals = np.einsum("pk,pki->pi", shares, values[corners])
+    return found
+
+
+def _turned(off: Reals, before: Reals, after: Reals) -> Reals:
+    """(k, 3) of vectors (k, 3) that turn with triangles (k, 3, 3)."""
+    found: Reals = np.einsum("kij,kil,kl->kj", _axes(after), _axes(before), off)
+    return found
+
+
+def _axes(corner: Reals) -> Reals:
+    """(k, 3, 3) rows of unit vectors along the first edges of triangles (k, 3, 3), in their planes and across."""
+    edge = corner[:, 1] - corner[:, 0]
+    normal = np.cross(edge, corner[:, 2] - corner[:, 0])
+    rows = np.stack([edge, np.cross(normal, edge), normal], axis=1)
+    found: Reals = rows / np.maximum(np.linalg.norm(rows, axis=2, keepdims=True), 1e-300)
     return found
 
 

@@ -330,7 +330,7 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
         """In the shape that the body has at the beginning."""
         if not self.frames:
             return super().way(points, began, moved, ended)
-        return points, moved - (self.frames.carry(points, began, ended) - points)
+        return points, moved - (self.frames.carry(points, began, ended, turns=False) - points)
 
     def derivatives_on_way(self, points: Reals, start: Start) -> tuple[Reals, Reals, Reals]:
         return self.frames.derivatives(points, start.time, start) if self.frames else self.derivatives(points)
