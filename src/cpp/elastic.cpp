@@ -210,8 +210,10 @@ class ElasticModel final : public Elastic {
     sum.store(split);
   }
 
-  void hessian(State state, Hessian kind, Scatter& scatter) override {
-    const bool safe = kind == Hessian::safe, mixed = kind == Hessian::mixed;
+  void hessian(State state, Hessian kind, double share, Scatter& scatter) override {
+    const bool safe = kind == Hessian::safe, mixed = kind == Hessian::mixed,
+               folds_count = !safe || share < 1.0;
+    const Real part = share, rest = safe ? 1.0 - share : 1.0;
     if (mixed && predicted_tension.empty()) throw std::logic_error("hessian: nothing was predicted");
     scatter.clear();
     Jet jet;
@@ -225,16 +227,19 @@ class ElasticModel final : public Elastic {
       Real tension[3];
       for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
       if (safe) {
+        const Jet exact = jet;
         project_positive<Model::bends ? 6 : 3>(jet.h);
         tensile(w.t.e, tension);
+        for (int i = 0; i < 21 && share < 1.0; ++i) jet.h[i] = part * jet.h[i] + rest * exact.h[i];
+        for (int i = 0; i < 3 && share < 1.0; ++i) tension[i] = part * tension[i] + rest * exact.g[i];
       }
       if constexpr (Model::bends) {
-        if (!safe) {
+        if (folds_count) {
           Real own[3], other[3];
           for (int i = 0; i < 3; ++i) {
-            Real moment = mixed ? at_half(block, predicted_moment, i) : jet.g[3 + i];
+            Real moment = mixed ? at_half(block, predicted_moment, i) : rest * jet.g[3 + i];
             own[i] = w.own[i] * moment, other[i] = w.other[i] * moment;
-            if (!turn_weight.empty()) own[i] += at_half(block, turn_weight, i);
+            if (!turn_weight.empty()) own[i] += rest * at_half(block, turn_weight, i);
           }
           FoldHessian folds(w, own, other);
           fill_blocks<Model>(block, w, jet.h, tension, &folds, out);

@@ -34,7 +34,8 @@ struct Clamp {
 
 // exact; safe: positive semidefinite; mixed: exact but for the stresses of its geometric part, which are
 // those that the last `predict` extrapolated (Magisano, Leonetti & Garcea 2017: mixed integration points;
-// Newton's method then converges in few steps where bending couples with stiff stretching).
+// Newton's method then converges in few steps where bending couples with stiff stretching). share: of the
+// safe one, the rest is exact.
 enum class Hessian { exact, safe, mixed };
 
 // Displacements (3n) from mesh.start and director angles (edges), both in local numbering.
@@ -62,7 +63,7 @@ class Elastic {
   virtual void energy(State state, double* split) = 0;
   // Adds the forces' negatives to gradient (3n) and edge_gradient (edges); returns the energies as above.
   virtual void gradient(State state, double* split, double* gradient, double* edge_gradient) = 0;
-  virtual void hessian(State state, Hessian kind, Scatter& scatter) = 0;
+  virtual void hessian(State state, Hessian kind, double share, Scatter& scatter) = 0;
   // Stresses W_q linearised at the state, extrapolated along a direction (3n; edges).
   virtual void predict(State state, State direction) = 0;
   // End moments: psi_h is the turn of half edge h's triangle about it. turn_gradient adds sum_h weight_h

@@ -124,13 +124,15 @@ static void bind_model(nb::module_& m) {
                                  sized(edge_g, s.mesh.edges, "edge gradient"));
              return Split(e[0], e[1]);
            })
-      .def("hessian",
-           [](Model& s, Doubles u, Doubles phi, const std::string& kind, Scatter& scatter) {
-             if (kind != "exact" && kind != "safe" && kind != "mixed")
-               throw nb::value_error("hessian: unknown kind");
-             Hessian h = kind == "exact" ? Hessian::exact : (kind == "safe" ? Hessian::safe : Hessian::mixed);
-             s.elastic->hessian(s.state(u, phi), h, scatter);
-           })
+      .def(
+          "hessian",
+          [](Model& s, Doubles u, Doubles phi, const std::string& kind, Scatter& scatter, double share) {
+            if (kind != "exact" && kind != "safe" && kind != "mixed")
+              throw nb::value_error("hessian: unknown kind");
+            Hessian h = kind == "exact" ? Hessian::exact : (kind == "safe" ? Hessian::safe : Hessian::mixed);
+            s.elastic->hessian(s.state(u, phi), h, share, scatter);
+          },
+          "u"_a, "phi"_a, "kind"_a, "scatter"_a, "share"_a = 1.0)
       .def("predict", [](Model& s, Doubles u, Doubles phi, Doubles du,
                          Doubles dphi) { s.elastic->predict(s.state(u, phi), s.state(du, dphi)); })
       .def("folds_over",

@@ -128,18 +128,20 @@ class Contact(NaturalMap):
             self.collect(p, partial(p.spread, normal + self.guard(p)[1], tangential), total)
         return total
 
-    def blocks(self, x: Reals, t: float, convex: bool, softness: float = 1.0) -> Iterator[tuple[Ints, Reals]]:
-        """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: without its negative part."""
+    def blocks(
+        self, x: Reals, t: float, convex: float, softness: float = 1.0
+    ) -> Iterator[tuple[Ints, Reals]]:
+        """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m), convex: share of its negative part left out."""
         return self.blocks_of(self.frozen_pairs(x, t, softness), convex)
 
-    def blocks_of(self, pairs: list[Pairs], convex: bool) -> Iterator[tuple[Ints, Reals]]:
+    def blocks_of(self, pairs: list[Pairs], convex: float) -> Iterator[tuple[Ints, Reals]]:
         """The same of `frozen_pairs`."""
         for p in pairs:
             _, push, stiff = self.guard(p)
             stiff += p.rho * (p.lam_n > 0.0)
             block = p.over_vertices(stiff[:, None, None] * outer(p.gradient, p.gradient), p.geometry.weight)
-            if not convex:
-                block -= (np.maximum(p.lam_n, 0.0) + push)[:, None, None] * p.curvature
+            if convex < 1.0:
+                block -= ((1.0 - convex) * (np.maximum(p.lam_n, 0.0) + push))[:, None, None] * p.curvature
             size, slips = lengths(p.lam_t), lengths(p.lam_t) > p.bound
             share = np.where(slips, p.bound / np.maximum(size, 1e-300), 1.0)
             normal = self.history.frozen_normal[p.index][p.row]

@@ -7,7 +7,7 @@ from voile.contact.contact import Contact
 from voile.contact.history import History
 from voile.contact.pairs import Pairs
 from voile.problem.matrix import Blocks
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 
 @dataclass
@@ -25,8 +25,8 @@ class AugmentedContact(Term):
     def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.contact.force_of(self._pairs(at), at.positions))
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
-        return self.contact.blocks_of(self._pairs(at), kind == "safe")
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
+        return self.contact.blocks_of(self._pairs(at), which.safe)
 
     def _pairs(self, at: Point) -> list[Pairs]:
         """Those at a point, where forces and several Hessians are asked for."""

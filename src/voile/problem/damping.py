@@ -12,7 +12,7 @@ from voile.arrays import Reals, area_vectors
 from voile.problem.inertia import Inertia
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Wind(Term):
         share = (self.air.drag / 3.0) * area[:, None] * abs(u) * u * self.part.weight[:, None]
         return h * float((share * (normal @ self.air.velocity)[:, None]).sum())
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         area, normal, u = self._flow(at)
         stiff = (2.0 * self.air.drag / 3.0) * area[:, None] * abs(u) * self.rate[self.part.corners, 0]
         block = stiff[:, :, None, None] * (normal[:, :, None] * normal[:, None])[:, None]

@@ -10,7 +10,7 @@ import scipy  # its parts load when they are asked for
 from voile import _kernels
 from voile.arrays import Ints, Reals
 from voile.problem.partition import Part
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 SHORTEST = 1e-6  # step length under which a hinge is at 180 degrees already
 
@@ -137,8 +137,8 @@ class Elastic(Term):
         along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
         return row, slope[:, None] * along
 
-    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
-        self.at(at.time).hessian(at.u, at.phi, kind, scatter)
+    def scatter(self, at: Point, which: Hessian, scatter: _kernels.Scatter) -> None:
+        self.at(at.time).hessian(at.u, at.phi, which.kind, scatter, which.share)
 
     def predict(self, at: Point, step: Reals) -> None:
         self.at(at.time).predict(at.u, at.phi, step[: len(at.u)], step[len(at.u) :])

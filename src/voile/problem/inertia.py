@@ -6,7 +6,7 @@ import numpy as np
 
 from voile.arrays import Flags, Ints, Reals
 from voile.problem.matrix import Blocks
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 
 @dataclass
@@ -28,7 +28,7 @@ class Inertia(Term):
     def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.coefficient * self.mass[:, None] * (self.predicted - at.positions))
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         yield mass_blocks(self.mass, self.coefficient)
 
 

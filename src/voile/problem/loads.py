@@ -13,7 +13,7 @@ from voile.problem.follower import Rim, pressure_energy, pressure_force
 from voile.problem.load import Load
 from voile.problem.moments import EndMoments
 from voile.problem.partition import Part
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 LOADS = ("gravity", "pressure", "force", "moment")
 
@@ -87,10 +87,10 @@ class Loads(Term):
             self.elastic.kernel.set_turn_weights(-self.factor("moment", at.time) * self.part.moment)
             self.moments.linearise(at.positions)
 
-    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+    def scatter(self, at: Point, which: Hessian, scatter: _kernels.Scatter) -> None:
         """The derivative of the pressure's forces, which is indefinite."""
-        if self.pressed and kind != "safe":
-            pressure = self.factor("pressure", at.time) * self.part.pressure
+        if self.pressed and which.safe < 1.0:
+            pressure = (1.0 - which.safe) * self.factor("pressure", at.time) * self.part.pressure
             _kernels.add_pressure_hessian(scatter, self.part.corners, at.positions, -pressure)
 
     def skew_forces(self, motion: Reals, time: float) -> Reals | None:

@@ -16,7 +16,7 @@ from voile import _kernels
 from voile.arrays import Ints, Reals
 from voile.problem.elastic import Elastic
 from voile.problem.matrix import Blocks
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 Nodes = tuple[tuple[float, float], ...]  # places in [0, 1] along the way, with weights
 END: Nodes = ((1.0, 1.0),)
@@ -81,11 +81,11 @@ class MeanElastic(Term):
         parts = [(weight, *elastic.clamp_moments(there)) for elastic, there, _, weight in self._places(at)]
         return parts[0][1], np.sum([weight * moments for weight, _, moments in parts], axis=0)
 
-    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+    def scatter(self, at: Point, which: Hessian, scatter: _kernels.Scatter) -> None:
         try:
             for elastic, there, s, weight in self._places(at):
                 with elastic.stiffened(s * weight):
-                    elastic.scatter(there, kind, scatter)
+                    elastic.scatter(there, which, scatter)
                 scatter.adding = True
         finally:
             scatter.adding = False
@@ -129,9 +129,9 @@ class MeanTerm(Term):
         found: Reals = np.sum([weight * self.term.forces(there) for there, _, weight in places], axis=0)
         return found
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         places = list(_places(self.start, at, self.nodes))
-        for parts in zip(*(self.term.blocks(there, kind) for there, _, _ in places), strict=True):
+        for parts in zip(*(self.term.blocks(there, which) for there, _, _ in places), strict=True):
             shares = zip(parts, places, strict=True)
             yield parts[0][0], np.sum([s * weight * values for (_, values), (_, s, weight) in shares], axis=0)
 

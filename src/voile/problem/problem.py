@@ -23,7 +23,7 @@ from voile.problem.shell import Shell
 from voile.problem.springs import springs_of
 from voile.problem.state import State
 from voile.problem.supports import pieces_of
-from voile.problem.terms import Point, Seen, Term
+from voile.problem.terms import Hessian, Point, Seen, Term
 from voile.problem.unknowns import Unknowns
 
 ROUND_OFF = 1e-12  # of a weight of C
@@ -262,15 +262,16 @@ class Problem:
         kind: str = "exact",
         contact: Blocks = (),
         shift: float | Reals = 0.0,
+        share: float = 1.0,
     ) -> None:
-        """Writes the Hessian of the potential to a `create_matrix` matrix. kind: exact, safe (positive semidefinite)
-        or mixed (exact but for the stresses in its geometric part, extrapolated by `predict`). To be added: `contact`,
-        what the linearised laws do; shift (1/s^2; one, or (local vertices,)), a multiple of the mass C^T M C."""
+        """Writes the Hessian of the potential to a `create_matrix` matrix; kind, share: see Hessian. To be added:
+        `contact`, what the linearised laws do; shift (1/s^2; one, or (local vertices,)), a multiple of the mass
+        C^T M C."""
         stop_if_told(self.comm)
         PETSc.garbage_cleanup(self.comm)  # petsc4py only marks what Python has dropped
-        at, blocks = self.point(y), list(contact)
+        at, which, blocks = self.point(y), Hessian(kind, share), list(contact)
         for term in self.terms:
-            blocks += term.blocks(at, kind)
+            blocks += term.blocks(at, which)
         if not self.everywhere(not np.any(shift)):
             blocks.append(mass_blocks(self.vertex_mass(), np.reshape(shift, (-1, 1))))
         likely = self.contact.history.candidates.vertex if self.contact else None
@@ -279,7 +280,7 @@ class Problem:
             term.prepare(at)
         with self.elastic.timed():
             for term in self.terms:
-                term.scatter(at, kind, self.assembly.scatter)
+                term.scatter(at, which, self.assembly.scatter)
             self.assembly.add(matrix, blocks)
             matrix.assemble()
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from voile.arrays import Flags, Ints, Reals
 from voile.problem.matrix import Blocks
 from voile.problem.partition import Part
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 from voile.problem.welds import Welds
 
 NAME = "springs"
@@ -48,7 +48,7 @@ class Springs(Term):
     def forces(self, at: Point) -> Reals:
         return at.over_dofs(self.stiffness * (self.home - at.positions))
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         vertex = np.flatnonzero(self.stiffness.any(axis=1))
         yield vertex, self.stiffness[vertex][:, :, None] * np.eye(3)
 
@@ -87,12 +87,11 @@ class Bars(Term):
         np.subtract.at(total, self.ends[:, 1], pull)
         return at.over_dofs(total)
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         """Across the bar its Hessian is the pull over the distance, which a safe one leaves out under compression."""
         distance, along = self._stretched(at)
         across = self.stiffness * (1.0 - self.length / np.maximum(distance, 1e-300))
-        if kind == "safe":
-            across = np.maximum(across, 0.0)
+        across = np.maximum(across, (1.0 - which.safe) * across)
         outer = along[:, :, None] * along[:, None, :]
         one = self.stiffness[:, None, None] * outer + across[:, None, None] * (np.eye(3) - outer)
         blocks = np.zeros(

@@ -1,6 +1,7 @@
 """What a potential is made of: terms, each with energy, gradient, Hessian and longest step."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,9 +48,21 @@ class Seen:
         self.point, self._unknowns, self._base = point, unknowns.copy(), base
 
 
+class Hessian(NamedTuple):
+    """Which one: exact, safe (positive semidefinite), or mixed (exact but for stresses extrapolated by
+    `Problem.predict`); share: of a safe one, the rest is exact."""
+
+    kind: str = "exact"
+    share: float = 1.0
+
+    @property
+    def safe(self) -> float:
+        """The share that is positive semidefinite."""
+        return self.share if self.kind == "safe" else 0.0
+
+
 class Term:
-    """A part of the potential. A Hessian has a `kind`: exact, safe (positive semidefinite), or mixed (exact but for
-    stresses extrapolated by `Problem.predict`). It goes into the matrix as `blocks`, as `scatter`, or both."""
+    """A part of the potential. Its Hessian goes into the matrix as `blocks`, as `scatter`, or both."""
 
     def energies(self, at: Point) -> dict[str, float]:
         """This rank's shares of its parts (J), by name."""
@@ -59,14 +72,14 @@ class Term:
         """(dofs,) minus its gradient (N; N m on directors), complete for what this rank's unknowns move."""
         return np.zeros(len(at.u) + len(at.phi))
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         """What of its Hessian couples vertices (N/m)."""
         return ()
 
     def prepare(self, at: Point) -> None:
         """Whatever any term's `scatter` at this point depends on; called before all of them."""
 
-    def scatter(self, at: Point, kind: str, scatter: _kernels.Scatter) -> None:
+    def scatter(self, at: Point, which: Hessian, scatter: _kernels.Scatter) -> None:
         """Writes what of its Hessian comes by triangles."""
 
     def predict(self, at: Point, step: Reals) -> None:

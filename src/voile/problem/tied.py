@@ -8,7 +8,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import dot
 from voile.problem.matrix import Blocks
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 STIFF = 100.0  # of a tied contact, over the shell's own at a vertex
 
@@ -75,7 +75,7 @@ class TiedContact(Term):
             total += partner.restrict(wide)
         return at.over_dofs(total)
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         for s in self.springs:
             count, size = s.weight.shape
             block = np.einsum("ps,pt,ij->psitj", s.weight, s.weight, self.stiffness * np.eye(3))

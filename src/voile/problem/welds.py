@@ -15,7 +15,7 @@ from voile.arrays import Flags, Ints, Reals
 from voile.mesh.welds import turned
 from voile.problem.matrix import Blocks
 from voile.problem.moments import turn_derivative
-from voile.problem.terms import Point, Term
+from voile.problem.terms import Hessian, Point, Term
 
 SHARES = np.array([-0.5, -0.5, 0.5, 0.5])  # of the four triangles' turns
 CORNERS = np.array([[2 + k, 0, 1] for k in range(4)])  # of the triangles, among an edge's six vertices
@@ -56,13 +56,13 @@ class Welds(Term):
         np.subtract.at(total, self.vertices, moment[:, None, None] * gradient(x))
         return at.over_dofs(total)
 
-    def blocks(self, at: Point, kind: str) -> Blocks:
+    def blocks(self, at: Point, which: Hessian) -> Blocks:
         """A safe Hessian leaves out that of r."""
         x = at.positions[self.vertices]
         slope = gradient(x).reshape(-1, 18)
         one = self.stiffness[:, None, None] * slope[:, :, None] * slope[:, None, :]
-        if kind != "safe":
-            one += (self.stiffness * self._turn(x))[:, None, None] * hessian(x)
+        if which.safe < 1.0:
+            one += ((1.0 - which.safe) * self.stiffness * self._turn(x))[:, None, None] * hessian(x)
         blocks = np.zeros((len(self.here), 18, 18))  # the pattern is that of all
         blocks[self.here] = one
         yield self.everywhere, blocks

@@ -72,16 +72,7 @@ def _assembled(
 ) -> PETSc.Mat:
     """The operator of systems with the tangent, which is left in the workspace's matrix."""
     matrix = work.matrix
-    problem.tangent(y, matrix, kind, shift=shift)
-    if kind == "safe" and share < 1.0:
-        safe = matrix.duplicate(copy=True)
-        coupled = matrix.getAttr("coupled")
-        problem.tangent(y, matrix, "exact", shift=shift)
-        matrix.scale(1.0 - share)
-        structure = PETSc.Mat.Structure
-        same = matrix.getAttr("coupled") == coupled  # else it has grown
-        matrix.axpy(share, safe, structure.SAME_NONZERO_PATTERN if same else structure.SUBSET_NONZERO_PATTERN)
-        safe.destroy()
+    problem.tangent(y, matrix, kind, shift=shift, share=share)
     if problem.conservative:
         return matrix
     return PETSc.Mat().createPython(matrix.getSizes(), Skewed(problem, matrix), matrix.comm)
