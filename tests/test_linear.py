@@ -11,6 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _projective, launch
+from voile.solver.fronts import analysed
 from voile.solver.linear import Counts, LinearSolver, Symmetric, factored, symmetric, unsymmetric
 
 SIDE = 20
@@ -79,7 +80,7 @@ def test_factors_start_no_threads():
         return next(line for line in lines if line.startswith("Threads"))
 
     a, before = sp.csr_matrix(laplacian(side=40) @ laplacian(side=40)), threads()
-    factor = _projective.Definite(a.indptr, a.indices)
+    factor = _projective.Definite(_projective.Fronts(a.indptr, a.indices))
     assert factor.factor(a.data) and threads() == before
 
 
@@ -92,7 +93,7 @@ def test_threads_change_no_digit(kind):
     bent[a.indptr[-2] :] *= -1.0 if kind is _projective.Definite else np.nan  # the last row
     found = []
     for threads in (1, 2, 5):
-        factor, x = kind(a.indptr, a.indices, threads), np.empty_like(b)
+        factor, x = kind(_projective.Fronts(a.indptr, a.indices, threads)), np.empty_like(b)
         assert factor.factor(a.data) and not factor.factor(bent) and factor.factor(a.data)
         factor.solve(b, x)
         found.append(x)
@@ -129,6 +130,59 @@ def test_systems_without_symmetry_are_solved():
     assert solver.counts.factorisations == 2
 
 
+@pytest.mark.parametrize("columns", [1, 2, 7])
+def test_many_right_hand_sides_are_solved_at_once(columns):
+    """By a factor, its transpose, and MUMPS where fronts do not serve."""
+    b = np.random.default_rng(4).standard_normal((SIDE**2, columns))
+    for solver, a in (
+        (make(), laplacian()),
+        (make(), laplacian(0.08)),
+        (unsymmetric(MPI.COMM_SELF, "friction_", Counts()), skewed()),
+    ):
+        assert solver.factor(petsc(a)) and solver.solutions(b).shape == b.shape
+        size = np.linalg.norm(b)
+        assert np.linalg.norm(a @ solver.solutions(b) - b) < 1e-11 * size
+        assert np.linalg.norm(a.T @ solver.solutions(b, transposed=True) - b) < 1e-11 * size
+        one, x = petsc(a).createVecs()
+        one.array[:] = b[:, 0]
+        solver.solve_transposed(one, x)
+        assert np.linalg.norm(a.T @ x.array_r - b[:, 0]) < 1e-11 * size
+
+
+def test_pivots_within_fronts_are_found_in_the_transpose_too():
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=(60, 60)), rng.normal(size=(60, 3))
+    rows = sp.csr_matrix(a)
+    factor, x = _projective.General(_projective.Fronts(rows.indptr, rows.indices)), np.empty_like(b)
+    assert factor.factor(rows.data)
+    for matrix, transposed in ((a, False), (a.T, True)):
+        factor.solve(b, x, transposed)
+        assert np.linalg.norm(matrix @ x - b) < 1e-11 * np.linalg.norm(b)
+
+
+def test_factors_of_one_pattern_share_its_analysis():
+    one, other = petsc(laplacian()), petsc(laplacian(0.01))
+    found = [analysed(*matrix.getValuesCSR()[:2]) for matrix in (one, other)]
+    assert found[0] is found[1]
+    wide = sp.csr_matrix(laplacian() @ laplacian())
+    assert analysed(wide.indptr, wide.indices) is not found[0]
+    definite, general = (kind(found[0]) for kind in (_projective.Definite, _projective.General))
+    rows, now = laplacian(), skewed()
+    assert definite.factor(rows.data) and general.factor(now.data) and definite.factor(rows.data)
+    b, x = np.ones(rows.shape[0]), np.empty(rows.shape[0])
+    for factor, matrix in ((definite, rows), (general, now)):
+        factor.solve(b, x)
+        assert np.linalg.norm(matrix @ x - b) < 1e-12 * np.linalg.norm(b)
+
+
+def test_a_pattern_without_symmetry_is_refused():
+    rows = sp.csr_matrix(np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0], [0.0, 4.0, 1.0]]))
+    with pytest.raises(RuntimeError, match="not symmetric"):
+        _projective.Fronts(rows.indptr, rows.indices)
+    with pytest.raises(RuntimeError, match="not symmetric"):
+        _projective.Fronts(*(lambda m: (m.indptr, m.indices))(sp.csr_matrix(rows.T)))
+
+
 def test_where_pivots_vanish_in_a_front_they_are_sought_elsewhere():
     """Unknowns without a diagonal that feel others only, which come later."""
     rng = np.random.default_rng(3)
@@ -151,8 +205,8 @@ def test_options_choose_what_solves_systems_without_symmetry():
 def test_rows_that_do_not_fit_are_refused():
     a = laplacian()
     with pytest.raises(ValueError, match="rows of a sparse matrix"):
-        _projective.Definite(a.indptr[:-1], a.indices)
-    factor = _projective.Definite(a.indptr, a.indices)
+        _projective.Fronts(a.indptr[:-1], a.indices)
+    factor = _projective.Definite(_projective.Fronts(a.indptr, a.indices))
     with pytest.raises(ValueError, match="value"):
         factor.factor(a.data[1:])
 

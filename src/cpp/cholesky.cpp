@@ -75,12 +75,11 @@ VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
 }  // namespace
 
 Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
-  Definite made(size, start, column);
+  Definite made(std::make_shared<Fronts>(size, start, column, 1));
   if (!made.factor(value)) throw std::runtime_error("the matrix is not positive definite");
   const cholmod_factor& f = *made.by().made;
   const auto *super = static_cast<const int32_t*>(f.super), *at = static_cast<const int32_t*>(f.pi);
   const auto *places = static_cast<const int32_t*>(f.px), *index = static_cast<const int32_t*>(f.s);
-  const auto* entry = static_cast<const double*>(f.x);
   const auto* perm = static_cast<const int32_t*>(f.Perm);
   order.assign(perm, perm + size);
   struct Place {
@@ -89,7 +88,7 @@ Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const 
   std::vector<Place> starts;
   for (size_t s = 0; s < f.nsuper; ++s) {
     const int width = super[s + 1] - super[s], height = at[s + 1] - at[s];
-    const double* from = entry + places[s];  // by columns of `height`
+    const double* from = made.panels() + places[s];  // by columns of `height`
     starts.push_back({rows.size(), panel.size()});
     for (int i = 0; i < height; ++i)
       for (int j = 0; j < width; ++j) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 #include <future>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -68,33 +69,47 @@ Fronts::Fronts(int size, const int32_t* start, const int32_t* column, int thread
     f.sibling = std::exchange(all[f.parent].child, k);
   }
   share(threads);
+  stack();
+  take(start, column);
+}
 
-  const auto* order = static_cast<const int32_t*>(made->Perm);
-  std::vector<int32_t> rank(size);
-  for (int i = 0; i < size; ++i) rank[order[i]] = i;
-  std::vector<std::vector<Entry>> below(count), beyond(count);  // the triangles, by fronts
-  for (int i = 0; i < size; ++i)
-    for (int e = start[order[i]]; e < start[order[i] + 1]; ++e) {
-      const int j = rank[column[e]];
-      const int k = front[std::min(i, j)];
-      const Front& f = all[k];
-      const auto within = [&f](int r) {
-        const int32_t* found = std::lower_bound(f.rows, f.rows + f.height, r);
-        if (found == f.rows + f.height || *found != r)
-          throw std::runtime_error("the pattern of a matrix is not symmetric");
-        return (size_t)(found - f.rows);
-      };
-      const bool own = j < f.first + f.width;
-      const size_t to = own ? f.panel + (size_t)(j - f.first) * f.height + within(i)
-                            : panels() + f.across + (size_t)(i - f.first) * f.below() + within(j) - f.width;
-      (j <= i ? below : beyond)[k].push_back({(int32_t)e, to});
-    }
-  entries.reserve(given);
-  const auto kept = [this](const std::vector<Entry>& some) {
-    entries.insert(entries.end(), some.begin(), some.end());
-    return std::span<const Entry>(entries).last(some.size());
+// Places the entries.
+void Fronts::take(const int32_t* start, const int32_t* column) {
+  const int n = size();
+  std::vector<int32_t> rank(n), row(n),
+      found(n, -1);  // of each row: in the order; in a front; in a column's pairs
+  for (int i = 0; i < n; ++i) rank[order()[i]] = i;
+  const auto each = [&](int i, const auto& visit) {
+    for (int e = start[order()[i]]; e < start[order()[i] + 1]; ++e) visit(e, rank[column[e]]);
   };
-  for (int k = 0; k < count; ++k) all[k].lower = kept(below[k]), all[k].upper = kept(beyond[k]);
+  begin.assign(n + 1, 0);
+  for (int i = 0; i < n; ++i) each(i, [&](int, int j) { begin[j + 1] += j <= i; });
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  entries.resize(begin[n]);
+  std::vector<int32_t> end(begin.begin(), begin.end() - 1);
+  for (int i = 0; i < n; ++i)
+    each(i, [&](int e, int j) {
+      if (j <= i) entries[end[j]++] = {e, -1, i};
+    });
+  bool symmetric = true;
+  for (const Front& f : all) {
+    for (int i = 0; i < f.height; ++i) row[f.rows[i]] = i;
+    for (int j = f.first; j < f.first + f.width; ++j) {
+      for (int k = begin[j]; k < begin[j + 1]; ++k) found[entries[k].row] = k;
+      each(j, [&](int e, int i) {
+        if (i < j) return;
+        if (found[i] < begin[j])
+          symmetric = false;
+        else
+          entries[found[i]].upper = e;
+      });
+      for (int k = begin[j]; k < begin[j + 1]; ++k) {
+        symmetric = symmetric && entries[k].upper >= 0;
+        entries[k].row = row[entries[k].row];
+      }
+    }
+  }
+  if (!symmetric) throw std::runtime_error("the pattern of a matrix is not symmetric");
 }
 
 // Subtrees in lanes of about the same work, the fronts above them last: of all ways to cut off the heaviest
@@ -135,16 +150,20 @@ void Fronts::share(int threads) {
     for (int c = all[root].child; c >= 0; c = all[c].sibling) trees.push_back(c), above -= work[c];
   }
   lanes.resize(used == 1 ? 1 : used + 1);
-  stacks.resize(lanes.size());
-  sums.resize(count);
   for (int k = count - 1; k >= 0; --k) {  // parents first
     const bool within = used > 1 && all[k].parent >= 0 && all[all[k].parent].lane < used;
     all[k].lane = within ? all[all[k].parent].lane : best[k];
   }
+  for (int k = 0; k < count; ++k) lanes[all[k].lane].push_back(k);
+}
+
+// Where fronts leave what they add: as much as each lane needs.
+void Fronts::stack() {
+  stacks.resize(lanes.size());
+  sums.resize(all.size());
   std::vector<size_t> now(lanes.size()), most(lanes.size());
-  for (int k = 0; k < count; ++k) {
+  for (size_t k = 0; k < all.size(); ++k) {
     const int lane = all[k].lane;
-    lanes[lane].push_back(k);
     most[lane] = std::max(most[lane], now[lane] += all[k].adds());
     for (int c = all[k].child; c >= 0; c = all[c].sibling)
       if (all[c].lane == lane) now[lane] -= all[c].adds();

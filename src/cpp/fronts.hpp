@@ -11,29 +11,26 @@
 
 namespace voile {
 
-// An entry of the matrix, and where it goes: among all panels, or after them among what is across.
-struct Entry {
-  int32_t from;
-  size_t to;
+// Two entries of the matrix across its diagonal, the lower one first, and the lower one's row in its front.
+struct Pair {
+  int32_t lower, upper, row;
 };
 
 // A supernode: `width` columns with the same rows, `height` in all, its own first. They are factored in a
 // dense front of these rows, which adds to fronts after it (multifrontal method, Duff & Reid 1983; Liu 1992).
 // panel: place of its columns (height x width); across: of its rows beyond them, transposed (below x width);
-// into: that of its rows below in `Fronts::place`; lower, upper: its entries, the diagonal among the first;
-// parent: the front that it adds to; child, sibling: the last front that adds to it, the one before
-// that adds to the same; -1 for none. lane: see `Fronts::lanes`.
+// into: that of its rows below in `Fronts::place`; parent: the front that it adds to; child, sibling: the
+// last front that adds to it, the one before that adds to the same; -1 for none. lane: see `Fronts::lanes`.
 struct Front {
   int first, width, height;
   const int32_t* rows;
   size_t panel, across, into = 0;
-  std::span<const Entry> lower, upper;
   int parent = -1, child = -1, sibling = -1, lane = 0;
   int below() const { return height - width; }
   size_t adds() const { return (size_t)below() * below(); }
 };
 
-// CHOLMOD (Davis et al., SuiteSparse) orders and analyses.
+// Of all factors of a pattern, which take turns; CHOLMOD (Davis et al., SuiteSparse) orders and analyses.
 class Fronts {
  public:
   // Rows of the pattern, which is symmetric, both triangles, columns ascending; threads: how many factor at
@@ -45,6 +42,11 @@ class Fronts {
 
   int size() const { return (int)made->n; }
   size_t panels() const { return made->xsize; }
+  const int32_t* order() const { return static_cast<const int32_t*>(made->Perm); }
+  // The matrix' entries in a column of the order, and in the row across.
+  std::span<const Pair> pairs(int column) const {
+    return std::span(entries).subspan(begin[column], begin[column + 1] - begin[column]);
+  }
 
   // Calls eliminate(front, sum) for all fronts, children first, subtrees in threads, until one is false;
   // whether all were true. It leaves in sum (below x below) what the front adds to its parent. Where sums
@@ -61,10 +63,13 @@ class Fronts {
   std::vector<int32_t> place;  // of fronts' rows below among the parent's
 
  private:
-  std::vector<Entry> entries;
+  void take(const int32_t* start, const int32_t* column);
   void share(int threads);
+  void stack();
   void run(int lane, const std::function<bool(const Front&, double*)>& eliminate);
 
+  std::vector<Pair> entries;
+  std::vector<int32_t> begin;  // of columns among them
   // Fronts, ascending: whole subtrees, a lane for each thread, and last what they all lead to.
   std::vector<std::vector<int>> lanes;
   std::vector<std::vector<double>> stacks;  // of what each lane's fronts add

@@ -9,35 +9,35 @@
 namespace voile {
 namespace {
 
-const int ONE = 1;
 const double PLUS = 1.0, MINUS = -1.0;
 
 }  // namespace
 
-General::General(int size, const int32_t* start, const int32_t* column, int threads)
-    : fronts(size, start, column, threads), l(fronts.panels() + fronts.across), pivots(size), turned(size) {
-  int most = 0;
-  for (const Front& f : fronts.all) most = std::max(most, f.below());
-  work.resize(most);
-}
+General::General(std::shared_ptr<Fronts> by)
+    : fronts(std::move(by)), l(fronts->panels() + fronts->across), pivots(fronts->size()), sweeps(*fronts) {}
 
 bool General::factor(const double* value) {
-  return fronts.run([&](const Front& f, double* sum) {
-    std::memset(l.data() + f.panel, 0, sizeof(double) * f.width * f.height);
-    std::memset(l.data() + fronts.panels() + f.across, 0, sizeof(double) * f.width * f.below());
-    for (const auto& half : {f.lower, f.upper})
-      for (const Entry& e : half) l[e.to] = value[e.from];
+  return fronts->run([&](const Front& f, double* sum) {
+    double *panel = l.data() + f.panel, *across = l.data() + fronts->panels() + f.across;
+    std::memset(panel, 0, sizeof(double) * f.width * f.height);
+    std::memset(across, 0, sizeof(double) * f.width * f.below());
+    for (int k = 0; k < f.width; ++k)
+      for (const Pair& e : fronts->pairs(f.first + k)) {
+        panel[(size_t)k * f.height + e.row] = value[e.lower];
+        (e.row < f.width ? panel[(size_t)e.row * f.height + k]
+                         : across[(size_t)k * f.below() + e.row - f.width]) = value[e.upper];
+      }
     std::memset(sum, 0, sizeof(double) * f.adds());
-    for (int c = f.child; c >= 0; c = fronts.all[c].sibling) add(fronts.all[c], fronts.added(c), f, sum);
+    for (int c = f.child; c >= 0; c = fronts->all[c].sibling) add(fronts->all[c], fronts->added(c), f, sum);
     return eliminate(f, sum);
   });
 }
 
 void General::add(const Front& child, const double* update, const Front& parent, double* sum) {
   const int rows = child.below(), below = parent.below(), width = parent.width;
-  const int32_t *to = fronts.place.data() + child.into, *beyond = std::lower_bound(to, to + rows, width);
+  const int32_t *to = fronts->place.data() + child.into, *beyond = std::lower_bound(to, to + rows, width);
   const int own = (int)(beyond - to);
-  double* across = l.data() + fronts.panels() + parent.across;
+  double* across = l.data() + fronts->panels() + parent.across;
   for (int j = 0; j < rows; ++j, update += rows) {
     if (j < own) {
       double* column = l.data() + parent.panel + (size_t)to[j] * parent.height;
@@ -52,7 +52,7 @@ void General::add(const Front& child, const double* update, const Front& parent,
 
 bool General::eliminate(const Front& f, double* sum) {
   double *panel = l.data() + f.panel, *under = panel + f.width;
-  double* across = l.data() + fronts.panels() + f.across;
+  double* across = l.data() + fronts->panels() + f.across;
   int *pivot = pivots.data() + f.first, info;
   const int below = f.below();
   dgetrf_(&f.width, &f.width, panel, &f.height, pivot, &info);
@@ -69,30 +69,17 @@ bool General::eliminate(const Front& f, double* sum) {
   return true;
 }
 
-void General::solve(const double* b, double* x) {
-  const auto* order = static_cast<const int32_t*>(fronts.made->Perm);
-  for (int i = 0; i < fronts.size(); ++i) turned[i] = b[order[i]];
-  for (const Front& f : fronts.all) {
-    const int below = f.below();
-    const double* panel = l.data() + f.panel;
-    double* own = turned.data() + f.first;
-    for (int k = 0; k < f.width; ++k) std::swap(own[k], own[pivots[f.first + k] - 1]);
-    dtrsv_("L", "N", "U", &f.width, panel, &f.height, own, &ONE);
-    if (!below) continue;
-    const double nothing = 0.0;
-    dgemv_("N", &below, &f.width, &PLUS, panel + f.width, &f.height, own, &ONE, &nothing, work.data(), &ONE);
-    for (int i = 0; i < below; ++i) turned[f.rows[f.width + i]] -= work[i];
+void General::solve(const double* b, double* x, int sides, bool transposed) {
+  const Triangle lower{l.data(), nullptr, "L", "U"}, upper{l.data(), l.data() + fronts->panels(), "U", "N"};
+  sweeps.take(b, sides);
+  if (transposed) {
+    sweeps.forward(upper);
+    sweeps.backward(lower, pivots.data());
+  } else {
+    sweeps.forward(lower, pivots.data());
+    sweeps.backward(upper);
   }
-  for (auto f = fronts.all.rbegin(); f != fronts.all.rend(); ++f) {
-    const int below = f->below();
-    double* own = turned.data() + f->first;
-    for (int i = 0; i < below; ++i) work[i] = turned[f->rows[f->width + i]];
-    if (below)
-      dgemv_("T", &below, &f->width, &MINUS, l.data() + fronts.panels() + f->across, &below, work.data(),
-             &ONE, &PLUS, own, &ONE);
-    dtrsv_("U", "N", "N", &f->width, l.data() + f->panel, &f->height, own, &ONE);
-  }
-  for (int i = 0; i < fronts.size(); ++i) x[order[i]] = turned[i];
+  sweeps.give(x);
 }
 
 }  // namespace voile

@@ -2,7 +2,11 @@
 // slip.
 #pragma once
 
-#include "fronts.hpp"
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "sweeps.hpp"
 
 namespace voile {
 
@@ -10,23 +14,22 @@ namespace voile {
 // half of MUMPS' time.
 class General {
  public:
-  // See Fronts.
-  General(int size, const int32_t* start, const int32_t* column, int threads = 1);
+  explicit General(std::shared_ptr<Fronts> fronts);
 
   // Factors the entries; false where a pivot is zero or not finite.
   bool factor(const double* value);
-  // x = A^-1 b with the last factor.
-  void solve(const double* b, double* x);
-  const Fronts& by() const { return fronts; }
+  // X = A^-1 B with the last factor, or A^-T B, by rows of `sides` numbers.
+  void solve(const double* b, double* x, int sides = 1, bool transposed = false);
+  const Fronts& by() const { return *fronts; }
 
  private:
   void add(const Front& child, const double* update, const Front& parent, double* sum);
   bool eliminate(const Front& f, double* sum);
 
-  Fronts fronts;
+  std::shared_ptr<Fronts> fronts;
   std::vector<double> l;    // panels: L and, in their squares, U; after them U's rows beyond, transposed
   std::vector<int> pivots;  // LAPACK's, in their fronts
-  std::vector<double> work, turned;
+  Sweeps sweeps;
 };
 
 }  // namespace voile

@@ -1,6 +1,7 @@
 // Python module voile._projective: CHOLMOD's factors, and the contacts of Projective Dynamics.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
 
 #include <stdexcept>
 
@@ -35,25 +36,18 @@ static std::vector<T> copied(const In<T>& a, size_t size, const char* name) {
 template <class Factor>
 void bind_factor(nb::module_& m, const char* name) {
   nb::class_<Factor>(m, name)
-      .def(
-          "__init__",
-          [](Factor* self, In<int32_t> start, In<int32_t> column, int threads) {
-            const int size = (int)start.size() - 1;
-            if (size < 1 || (size_t)start.data()[size] != column.size())
-              throw nb::value_error("rows of a sparse matrix expected");
-            new (self) Factor(size, start.data(), column.data(), threads);
-          },
-          "start"_a, "column"_a, "threads"_a = 1)
+      .def(nb::init<std::shared_ptr<Fronts>>(), "fronts"_a)
       .def(
           "factor",
           [](Factor& self, In<double> value) { return self.factor(sized(value, self.by().given, "value")); },
           "value"_a)
       .def(
           "solve",
-          [](Factor& self, In<double> b, Out<double> x) {
-            self.solve(sized(b, self.by().size(), "b"), sized(x, self.by().size(), "x"));
+          [](Factor& self, In<double> b, Out<double> x, bool transposed) {
+            const size_t size = self.by().size(), sides = b.size() / size;
+            self.solve(sized(b, size * sides, "b"), sized(x, size * sides, "x"), (int)sides, transposed);
           },
-          "b"_a, "x"_a);
+          "b"_a, "x"_a, "transposed"_a = false);
 }
 
 NB_MODULE(_projective, m) {
@@ -77,6 +71,16 @@ NB_MODULE(_projective, m) {
           "b"_a)
       .def_prop_ro("nonzeros", &Cholesky::nonzeros);
 
+  nb::class_<Fronts>(m, "Fronts", nb::is_weak_referenceable())
+      .def(
+          "__init__",
+          [](Fronts* self, In<int32_t> start, In<int32_t> column, int threads) {
+            const int size = (int)start.size() - 1;
+            if (size < 1 || (size_t)start.data()[size] != column.size())
+              throw nb::value_error("rows of a sparse matrix expected");
+            new (self) Fronts(size, start.data(), column.data(), threads);
+          },
+          "start"_a, "column"_a, "threads"_a = 1);
   bind_factor<Definite>(m, "Definite");
   bind_factor<General>(m, "General");
 

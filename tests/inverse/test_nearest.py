@@ -70,7 +70,9 @@ def neighbours(kind):
 
 def steepest(moves, gradient):
     """The move along a gradient that is steepest for its length in ds."""
-    s = moves.metric_factor.solve(moves._reduced(gradient.s.array_r[:, None], gradient.z.array_r[:, None]))
+    s = moves.metric_solver.solutions(
+        moves._reduced(gradient.s.array_r[:, None], gradient.z.array_r[:, None])
+    )
     return moves.move(s[:, 0], moves._answer(s)[:, 0])
 
 

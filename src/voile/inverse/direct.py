@@ -18,7 +18,7 @@ from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
-from voile.solver.linear import counting, factored, factorisation_error, use_lu
+from voile.solver.linear import Counts, counting, factored, unsymmetric
 
 MOST = 40  # Newton iterations of one step
 SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
@@ -79,10 +79,7 @@ class Direct:
         self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self.lu = PETSc.PC().create(comm=self.problem.comm)
-        self.lu.setOptionsPrefix("inverse_")
-        use_lu(self.lu)
-        self.lu.setFromOptions()
+        self.solver = unsymmetric(self.problem.comm, "inverse_", Counts())
         self.inertia = counting(self.problem.comm)
 
     @property
@@ -265,12 +262,9 @@ class Direct:
         """Newton's direction D^-1 f, with the last factor unless `anew`; False where D is singular."""
         if anew:
             self.linearise(y)
-            self.lu.setOperators(self.matrix)
-            self.lu.setUp()
-            if factorisation_error(self.lu):
-                self.lu.reset()
+            if not self.solver.factor(self.matrix):
                 return False
-        self.lu.apply(f, direction)
+        self.solver.solve(f, direction)
         return bool(np.isfinite(direction.norm()))
 
     def linearise(self, y: PETSc.Vec) -> None:

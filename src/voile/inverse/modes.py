@@ -10,10 +10,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.arrays import Reals
-from voile.inverse.columns import Factor, products, times
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
-from voile.solver.linear import add_mass
+from voile.solver.columns import products, times
+from voile.solver.linear import Counts, add_mass, symmetric
 
 MODES = 12  # at most
 GUARD = 3  # more in the block: they speed up the last ones
@@ -30,7 +30,7 @@ class Modes:
 
     def __init__(self, problem: Problem, mass: PETSc.Vec):
         self.problem, self.mass, self.most = problem, mass, min(MODES, problem.unknowns)
-        self.factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_modes_", problem.comm)
+        self.solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "nearest_modes_")
         self.block = _start(problem, min(MODES + GUARD, problem.unknowns))
 
     def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[Reals, Reals, int]:
@@ -39,9 +39,9 @@ class Modes:
         cannot be factored. The tangent's diagonal is changed."""
         add_mass(tangent, self.mass, -margin)
         nothing = np.zeros(0), np.zeros((len(self.block), 0)), 0
-        if not self.factor.set(tangent):
+        if not self.solver.factor(tangent):
             return nothing
-        below = self.factor.negative() or 0
+        below = self.solver.negative or 0
         width = self.block.shape[1]
         for _ in range(SWEEPS):
             before, values, block = self._sweep(tangent)
@@ -62,7 +62,7 @@ class Modes:
         for power in range(POWERS + 1):
             if power:
                 first = space.shape[1]
-                last = self.factor.solve(weight * last)
+                last = self.solver.solutions(weight * last)
             last = self._beside(space, last)
             space = np.concatenate([space, last], axis=1)
         projected = products(space, times(shifted, space), comm)

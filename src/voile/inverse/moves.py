@@ -18,9 +18,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
-from voile.inverse.columns import Factor, orthonormal, products, times
 from voile.inverse.direct import Direct
 from voile.problem.rest import rest_areas
+from voile.solver.columns import orthonormal, products, times
+from voile.solver.linear import Counts, symmetric, unsymmetric
 
 WEIGHT = 1.0  # of the rest shape's moves beside the shape's: with less they grow rough, and simulations leave answers
 # Times that, where steps grow short or simulations leave answers anyway; down to this.
@@ -70,14 +71,14 @@ class Moves:
         self.weight = WEIGHT
         self.rest_metric = self._create_metric(WEIGHT)
         self.across = self.target.tangent.duplicate()
-        self.factor = Factor(PETSc.PC.Type.LU, "nearest_", problem.comm)
-        self.metric_factor = Factor(PETSc.PC.Type.CHOLESKY, "nearest_metric_", problem.comm)
+        self.solver = unsymmetric(problem.comm, "nearest_", Counts())
+        self.metric_solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "nearest_metric_")
         self.hold(held)
 
     def linearise(self, stiffness: PETSc.Mat, matrix: PETSc.Mat) -> bool:
         """Takes the manifold's tangent where K and D are these; False where D cannot be factored."""
         stiffness.copy(self.across, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        return self.factor.set(matrix)
+        return self.solver.factor(matrix)
 
     def hold(self, vertex: Flags) -> None:
         """Keeps local vertices (n,) where they are from now on."""
@@ -88,7 +89,7 @@ class Moves:
         """Only these unknowns (own,) are free from now on, of those that are."""
         self.free &= free
         self.metric = self._create_metric(1.0)
-        self.metric_factor.set(self.metric)
+        self.metric_solver.factor(self.metric)
         self.movable = bool(self.problem.comm.allreduce(int(self.free.sum())))
 
     def _create_metric(self, weight: float) -> PETSc.Mat:
@@ -140,11 +141,11 @@ class Moves:
 
     def _answer(self, s: Reals) -> Reals:
         """dz (own, p) that keeps the balance under displacements s (own, p)."""
-        return -self.factor.solve(times(self.across, s))
+        return -self.solver.solutions(times(self.across, s))
 
     def _reduced(self, s: Reals, z: Reals) -> Reals:
         """Gradients (own, p) by s alone, with dz as it follows, of those by s and z."""
-        gradient = s - times(self.across, self.factor.solve(z, transposed=True))
+        gradient = s - times(self.across, self.solver.solutions(z, transposed=True))
         gradient[~self.free] = 0.0
         return gradient
 
@@ -166,7 +167,7 @@ class Moves:
         comm, before = self.problem.comm, math.inf
         s, z, ahead = np.zeros_like(left), np.zeros_like(left), np.zeros_like(left)
         for _ in range(DESCENTS):
-            steep = self.metric_factor.solve(left)
+            steep = self.metric_solver.solutions(left)
             now = comm.allreduce(float(np.einsum("ij,ij->j", left, steep) @ weight))
             ahead = steep + now / before * ahead
             across = self._answer(ahead)
@@ -190,7 +191,7 @@ class Moves:
 
     def least_move(self, residual: PETSc.Vec) -> Move:
         """About the shortest move that takes away a residual (N)."""
-        alone = self.factor.solve(residual.array_r[:, None].copy())
+        alone = self.solver.solutions(residual.array_r[:, None].copy())
         left = -self._reduced(np.zeros_like(alone), times(self.rest_metric, alone))
         s, z = self._descend(left, np.ones(1))
         return self.move(s[:, 0], alone[:, 0] + z[:, 0])

@@ -10,13 +10,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
-from voile.inverse.columns import Factor
 from voile.inverse.direct import Direct
 from voile.inverse.modes import Modes
 from voile.inverse.moves import Move, Moves, Slopes
 from voile.problem.scales import slow_rate
 from voile.problem.triangles import gather_triangles, spread_triangles
 from voile.solver.anderson import Anderson
+from voile.solver.linear import Counts, unsymmetric
 
 CUT = 20.0  # slow rates above the margin under which modes are known
 ALONG = 1e-5  # sizes of the shell: differences along modes, whose error must not tell equal modes apart
@@ -57,7 +57,7 @@ class Neighbours:
         self.cut = CUT * self.slow
         self.moves = Moves(direct, held)
         self.modes = Modes(problem, self.moves.mass)
-        self.renewed = Factor(PETSc.PC.Type.LU, "nearest_", problem.comm)
+        self.renewed = unsymmetric(problem.comm, "nearest_", Counts())
 
     # ---- equilibria ----
 
@@ -98,7 +98,7 @@ class Neighbours:
     def _balance(self, point: Checkpoint, tolerance: float) -> bool:
         """Equilibrium at the point's shape to a tolerance over the loads' norm, by chord steps that Anderson's method
         speeds up, with a new factor only where these contract the residual too little."""
-        factor, f, step = self.moves.factor, self.problem.create_vector(), self.problem.create_vector()
+        solver, f, step = self.moves.solver, self.problem.create_vector(), self.problem.create_vector()
         chords, ahead = Anderson(self.problem.comm, len(f.array_r), DEPTH), step.array_r.copy()
         norm, least, anew, kept, poor = math.inf, math.inf, 0, point.z.copy(), 0
         for _ in range(CHORDS):
@@ -112,21 +112,21 @@ class Neighbours:
             poor = poor + 1 if norm > CONTRACTS * before else 0
             if poor > 1 or norm > before:
                 poor = 0
-                if factor is self.moves.factor and norm > least:  # a step of no use
+                if solver is self.moves.solver and norm > least:  # a step of no use
                     kept.copy(point.z)
                     y = self.go_to(point)
                     self.target.residual(y, f)
                     norm = f.norm()
                 anew += 1
                 self.direct.linearise(y)
-                factor = self.renewed
+                solver = self.renewed
                 chords.forget()
-                if anew > RENEWALS or not factor.set(self.direct.matrix):
+                if anew > RENEWALS or not solver.factor(self.direct.matrix):
                     return False
             if norm < least:
                 least = norm
                 point.z.copy(kept)
-            factor.pc.apply(f, step)
+            solver.solve(f, step)
             step.scale(-1.0)
             chords.step(point.z.array_r, step.array_r, ahead)
             point.z.array[:] += ahead

@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.contact.history import History
@@ -22,7 +21,7 @@ from voile.inverse.objective import Design, Objective
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.rest import PanelRest
-from voile.solver.linear import factorisation_error, negative_pivots, use_cholesky, use_lu
+from voile.solver.linear import Counts, symmetric, unsymmetric
 from voile.solver.path import Arrays
 from voile.solver.stepping.restart import unpacked_history
 
@@ -55,8 +54,10 @@ class Reduced:
         self.target, self.problem, self.design = target, problem, design
         self.objectives = objectives
         self.tangent = problem.create_matrix()
-        self.factors = {symmetric: _factor(problem.comm, symmetric) for symmetric in (True, False)}
-        self.factor = self.factors[True]
+        # By L L^T or L D L^T (its inertia tells a saddle) or, where something slips, by L U.
+        self.symmetric = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "adjoint_")
+        self.unsymmetric = unsymmetric(problem.comm, "adjoint_", Counts())
+        self.solver = self.symmetric
         self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
         self.start = start.copy()  # of every simulation: see `accept`
         self.began = problem.contact.history.copy() if problem.contact else None
@@ -64,7 +65,7 @@ class Reduced:
         self.at: PETSc.Vec | None = None
         self.carried: History | None = None  # its contact's history
         self.slope = design.create()  # dJ/dz through it
-        self.factored: PETSc.Vec | None = None  # the state that `factor` is of
+        self.factored: PETSc.Vec | None = None  # the state that `solver` has factored
         self.best = math.inf  # objective of the last of the trail
         self.trail: list[Iterate] = []  # the best so far, one after the other
         self.shifted = 0.0  # multiple of the identity in the Hessian
@@ -138,11 +139,11 @@ class Reduced:
         if problem.contact:  # whose solver has left saddles
             linear = problem.contact.linearise(problem.positions(y), problem.time)
             problem.tangent(y, self.tangent, "exact", linear.blocks())
-            symmetric = problem.everywhere(linear.symmetric)
+            slips = not problem.everywhere(linear.symmetric)
         else:
             problem.tangent(y, self.tangent)
-            symmetric = True
-        self.factor = self.factors[symmetric]
+            slips = False
+        self.solver = self.unsymmetric if slips else self.symmetric
         if not self._factors():
             if problem.contact or not self.forward.search(y):
                 return False
@@ -155,12 +156,8 @@ class Reduced:
 
     def _factors(self) -> bool:
         """Factors the tangent; False where that fails, or where without contact it has a negative eigenvalue."""
-        self.factor.setOperators(self.tangent)
-        self.factor.setUp()
-        if factorisation_error(self.factor):
-            self.factor.reset()  # PETSc leaves a MUMPS instance that failed once as it is
-            return False
-        return self.problem.contact is not None or not negative_pivots(self.factor)
+        usable = self.solver.factor(self.tangent)
+        return usable and (self.problem.contact is not None or not self.solver.negative)
 
     # ---- what TAO asks ----
 
@@ -180,7 +177,7 @@ class Reduced:
         """The Gauss-Newton Hessian times v; the identity on entries that are no design variables."""
         image = self.design.push(v)
         moved = image.duplicate()
-        self.factor.apply(image, moved)
+        self.solver.solve(image, moved)
         moved.scale(-1.0)  # the equilibrium's change, -K^-1 D v
         self.adjoint_solves += 1
         self._pull(_sum(each.along_state(moved) for each in self.objectives)).copy(out)
@@ -197,7 +194,7 @@ class Reduced:
     def _pull(self, v: PETSc.Vec) -> PETSc.Vec:
         """-D^T K^-T v."""
         adjoint = v.duplicate()
-        self.factor.applyTranspose(v, adjoint)
+        self.solver.solve_transposed(v, adjoint)
         self.adjoint_solves += 1
         out = self.design.pull(adjoint)
         out.scale(-1.0)
@@ -209,12 +206,3 @@ def _sum(vectors: Iterable[PETSc.Vec]) -> PETSc.Vec:
     for other in others:
         first.axpy(1.0, other)
     return first
-
-
-def _factor(comm: MPI.Comm, symmetric: bool) -> PETSc.PC:
-    """LDL^T (its inertia tells a saddle) or, where something slips, LU."""
-    pc = PETSc.PC().create(comm=comm)
-    pc.setOptionsPrefix("adjoint_")
-    (use_cholesky if symmetric else use_lu)(pc)
-    pc.setFromOptions()
-    return pc

@@ -1,25 +1,22 @@
 """Factorisations: which solver, what it says of the matrix, and how many of them a run took.
 
-On one rank `_projective.Definite`, fronts in CHOLMOD's order, factors positive definite matrices in 0.4 to 0.8 of
-MUMPS' time (700 to 30,000 unknowns, Cooperlake kernels) and solves in a third to two thirds; one that is indefinite it
-leaves at a negative pivot. `General` factors without symmetry in half of MUMPS' time. MUMPS factors all others, and on
-several ranks all.
+On one rank fronts factor what is positive definite or not symmetric; MUMPS all others, and on several ranks all.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile import _projective
-from voile._petsc import aij_arrays
+from voile.arrays import Reals
 from voile.errors import InputError
-from voile.launch import threads
 from voile.problem.lifetime import until_the_end
+from voile.solver.columns import solutions
+from voile.solver.fronts import Fronts
 
 BROKEN = 71, 81  # of PETSc: a zero pivot of LU; of Cholesky, for CHOLMOD one that is not positive
 NO_SOLVER = 92  # PETSc's error for a solver that it does not have for a matrix
@@ -35,7 +32,7 @@ DEFAULTS = {
     "mat_mumps_icntl_14": "50",
     "mat_cholmod_print": "0",  # it would print a line for every indefinite matrix
 }
-FACTORISES, SOLVES = PETSc.Log.Event("MatCholFctrNum"), PETSc.Log.Event("MatSolve")  # as PETSc logs its own
+FACTORISES = PETSc.Log.Event("MatCholFctrNum")  # as PETSc logs its own
 CHOICES = "ksp_type", "pc_type", "pc_factor_"  # options that begin so choose a solver
 INERTIA = "inertia_"  # prefix of factorisations that count negative eigenvalues
 
@@ -197,6 +194,16 @@ class LinearSolver:
         with self.counts.solving():
             self.ksp.solve(b, x)
 
+    def solve_transposed(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """x = A^-T b."""
+        with self.counts.solving():
+            self.ksp.solveTranspose(b, x)
+
+    def solutions(self, columns: Reals, transposed: bool = False) -> Reals:
+        """A^-1 columns (own, p) with the last factor, or A^-T columns, all at once."""
+        with self.counts.solving():
+            return solutions(self.ksp.pc, columns, transposed)
+
     def positive(self, matrix: PETSc.Mat) -> bool:
         """Whether the matrix is positive definite, by its inertia: by a factor of its own where this one, chosen by
         options, does not count."""
@@ -231,39 +238,13 @@ class Inverse:
         self.solver.solve(b, x)
 
 
-class Fronts:
-    """Context of a PETSc PC of type python: L L^T (`_projective.Definite`) or L U (`General`) on one rank, by
-    threads, to the same digits."""
+class ByFronts(LinearSolver):
+    """Systems on one rank by fronts, and by `indefinite` where these do not serve."""
 
-    def __init__(self, kind: type) -> None:
-        self._kind = kind
-        self._factor: Any = None
-        self._pattern: tuple[int, object] | None = None
-
-    def factor(self, matrix: PETSc.Mat) -> bool:
-        """Whether the matrix is definite, or has no pivot that vanishes."""
-        start, column, value = aij_arrays(matrix.handle)[0]
-        pattern = matrix.handle, matrix.getAttr("coupled")
-        if self._factor is None or self._pattern != pattern:
-            self._factor, self._pattern = self._kind(start, column, threads()), pattern
-        return bool(self._factor.factor(value))
-
-    def apply(self, _: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x = A^-1 b with the last factor."""
-        assert self._factor
-        with SOLVES:
-            self._factor.solve(b.array_r, x.array_w)
-
-
-class Unsymmetric(LinearSolver):
-    """Systems on one rank by fronts, with pivots sought within each, and by `indefinite`, which seeks them everywhere,
-    where one vanishes."""
-
-    kind: type = _projective.General
-
-    def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
+    def __init__(self, kind: type, indefinite: LinearSolver, ksp: PETSc.KSP):
+        """kind: `_projective.Definite` or `General`."""
         super().__init__(ksp, indefinite.counts)
-        self._indefinite, self._fronts = indefinite, Fronts(self.kind)
+        self._indefinite, self._fronts = indefinite, Fronts(kind)
         self._served = False  # the last matrix
         until_the_end(ksp).pc.setType(PETSc.PC.Type.PYTHON)
         ksp.pc.setPythonContext(self._fronts)
@@ -273,22 +254,18 @@ class Unsymmetric(LinearSolver):
         """See LinearSolver."""
         return self._indefinite
 
-    def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
-        """See LinearSolver."""
-        return self._by_fronts(matrix, operator) or self._otherwise(matrix, operator)
-
-    def _otherwise(self, matrix: PETSc.Mat, operator: PETSc.Mat | None) -> bool:
-        self._served = False
-        self.usable = self.indefinite.factor(matrix, operator)
-        self.negative = self.indefinite.negative
-        return self.usable
-
     def _by_fronts(self, matrix: PETSc.Mat, operator: PETSc.Mat | None) -> bool:
         with self.counts.factorising(), FACTORISES:
             self._served = self.usable = self._fronts.factor(matrix)
         self.negative = None
         self.ksp.setOperators(operator or matrix, matrix)
         return self._served
+
+    def _otherwise(self, matrix: PETSc.Mat, operator: PETSc.Mat | None) -> bool:
+        self._served = False
+        self.usable = self.indefinite.factor(matrix, operator)
+        self.negative = self.indefinite.negative
+        return self.usable
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """See LinearSolver."""
@@ -297,19 +274,43 @@ class Unsymmetric(LinearSolver):
         else:
             self.indefinite.solve(b, x)
 
+    def solve_transposed(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """See LinearSolver."""
+        if self._served:
+            super().solve_transposed(b, x)
+        else:
+            self.indefinite.solve_transposed(b, x)
+
+    def solutions(self, columns: Reals, transposed: bool = False) -> Reals:
+        """See LinearSolver."""
+        if not self._served:
+            return self.indefinite.solutions(columns, transposed)
+        with self.counts.solving():
+            return self._fronts.solutions(columns, transposed)
+
     def destroy(self) -> None:
         """Frees both factors."""
         super().destroy()
         self.indefinite.destroy()
 
 
-class Symmetric(Unsymmetric):
-    """Symmetric systems on one rank: L L^T, and by `indefinite` where a matrix is not positive definite."""
-
-    kind = _projective.Definite
+class Unsymmetric(ByFronts):
+    """Systems on one rank by L U, with pivots sought within fronts, and by `indefinite`, which seeks them everywhere,
+    where one vanishes."""
 
     def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
-        super().__init__(indefinite, ksp)
+        super().__init__(_projective.General, indefinite, ksp)
+
+    def factor(self, matrix: PETSc.Mat, operator: PETSc.Mat | None = None) -> bool:
+        """See LinearSolver."""
+        return self._by_fronts(matrix, operator) or self._otherwise(matrix, operator)
+
+
+class Symmetric(ByFronts):
+    """Symmetric systems on one rank: L L^T, and by `indefinite` where a matrix is not positive definite."""
+
+    def __init__(self, indefinite: LinearSolver, ksp: PETSc.KSP):
+        super().__init__(_projective.Definite, indefinite, ksp)
         # Whether the last matrix of `factor` was not definite: the next one mostly is not, either.
         self._doubtful = False
 
@@ -349,7 +350,7 @@ def unsymmetric(comm: MPI.Comm, prefix: str, counts: Counts) -> LinearSolver:
 
 
 def _solver(
-    by_fronts: type[Unsymmetric],
+    by_fronts: Callable[[LinearSolver, PETSc.KSP], LinearSolver],
     use: Callable[[PETSc.PC], None],
     comm: MPI.Comm,
     kind: str,
