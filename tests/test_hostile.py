@@ -110,6 +110,8 @@ def test_names_in_files_are_but_names(tmp_path):
         ("dynamics", "pressure = 1e300"),
         ("statics", "gravity = [0, 0, -1e160]"),  # its square is no number
         ("modes", "gravity = [0, 0, -1e160]"),
+        # the square of what it moves over the mass
+        ("inverse", "gravity = [0, 0, -1e155]\n[[fix]]\nselect = { nodes = [2, 3] }"),
     ],
 )
 def test_loads_beyond_all_numbers_say_so_in_one_line(tmp_path, task, load):
