@@ -173,6 +173,23 @@ def test_limits_far_off_the_finest_run_are_guesses(rate, guess, findings):
         assert found.guesses == (["tip"] if told else [])
 
 
+def test_a_list_with_a_poor_first_value_names_a_surer_one(findings):
+    """Its limit would be the reference, and recommendations say of what they are."""
+    rates = {"average": 0.4, "tan": 2.0, "sin": 0.5}
+    text = """reference = "extrapolate"\n[vary]\nrefine = [0, 1, 2]\n"shell.bending" = ["average", "tan", "sin"]\n"""
+
+    def value(s):
+        return 1.0 + 0.3 * 2.0 ** (-rates[s["shell.bending"]] * s["refine"])
+
+    found = findings(text, value, lambda s: 1.0)
+    told = report.text(found)
+    assert found.guesses == ["tip"] and [s.settings["shell.bending"] for s in found.surer] == ["tan"]
+    assert "tip of shell.bending=tan goes to 1, no guess: first in its list it is the reference" in told
+    assert "error 0.05 over a guess: " in told
+    found = findings(text.replace('"average", "tan"', '"tan", "average"'), value, lambda s: 1.0)
+    assert not found.guesses and not found.surer and "guess" not in report.text(found)
+
+
 def test_measures_without_a_reference_are_named(findings):
     """Values that go to and fro have no limit."""
     text = 'reference = "extrapolate"\n[vary]\nrefine = [0, 1, 2]\n'

@@ -1,5 +1,6 @@
 """What a study's runs tell: errors and what they are made of, the Pareto front, and what to choose."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,12 +73,14 @@ class Choice:
 
 @dataclass
 class Findings:
-    """All that a study found; references by measure, and of which of them the limit is a guess."""
+    """All that a study found; references by measure, of which of them the limit is a guess, and series of other models
+    or methods whose limits are none."""
 
     plan: Plan
     rows: list[Row]
     references: dict[str, float]
     guesses: list[str]
+    surer: list[Series]
     about: str
     series: list[Series]
     front: list[Row]
@@ -126,8 +129,11 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     for row in front:
         row.front = True
     choices = [_choice(accuracy, rows, scatter) for accuracy in plan.study.study.accuracy]
-    guesses = [name for name in references if about.startswith(LIMIT) and _far(plan, series, name, origin)]
-    return Findings(plan, rows, references, guesses, about, series, front, choices)
+    asked = min(plan.study.study.accuracy) if about.startswith(LIMIT) else math.inf
+    poor = [s for name in references for s in _limits(series, name, origin) if _far(s, asked)]
+    guesses = [name for name in references if any(s.measure == name for s in poor)]
+    surer = [s for s in series if any(_beside(s, other) for other in poor) and not _far(s, asked)]
+    return Findings(plan, rows, references, guesses, surer, about, series, front, choices)
 
 
 def _origin(plan: Plan, records: list[Record]) -> int:
@@ -207,15 +213,17 @@ def _tell_by_limits(changes: dict[str, list[str]], same: bool | None) -> None:
             del changes[of]
 
 
-def _far(plan: Plan, series: list[Series], name: str, origin: int) -> bool:
-    """Whether an extrapolated reference lies much further off than the value changed last, and than what is asked
-    for."""
-    asked = min(plan.study.study.accuracy)
-    for s in _limits(series, name, origin):
-        beyond = abs((s.limit or 0.0) - s.values[-1])
-        if beyond > max(FAR * abs(s.values[-1] - s.values[-2]), asked * abs(s.limit or 0.0)):
-            return True
-    return False
+def _far(s: Series, asked: float) -> bool:
+    """Whether the limit of a series lies much further off than the value changed last, and than what is asked for."""
+    limit = s.limit or 0.0
+    return abs(limit - s.values[-1]) > max(FAR * abs(s.values[-1] - s.values[-2]), asked * abs(limit))
+
+
+def _beside(s: Series, other: Series) -> bool:
+    """Whether a series has a limit and differs from another one in one setting alone that has no order."""
+    apart = different(s.settings, other.settings)
+    alike = s.measure == other.measure and s.along == other.along and s.limit is not None
+    return alike and len(apart) == 1 and apart[0] not in (*SIZED, *ENDS)
 
 
 def _measure(

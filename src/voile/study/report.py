@@ -109,6 +109,7 @@ def _plain(findings: Findings, runs: Runs) -> dict[str, Any]:
             "values": findings.references,
             "about": findings.about,
             "guesses": findings.guesses,
+            "surer": [_rates(findings, s) for s in findings.surer],
         },
         "rates": [_rates(findings, s) for s in findings.series],
         "pareto": [_brief(row, runs) for row in findings.front],
@@ -199,7 +200,7 @@ def _table(findings: Findings) -> list[str]:
     lines = [["run", *names, "error", "s", "MiB", "", "changes"]]
     for row in findings.rows:
         record = row.record
-        told = (
+        said = (
             what_changes(findings, row) if record.status == CONVERGED else f"{record.status}: {record.reason}"
         )
         lines.append(
@@ -210,7 +211,7 @@ def _table(findings: Findings) -> list[str]:
                 "" if row.seconds is None else f"{row.seconds:.2f}",
                 "" if record.memory_mib is None else f"{record.memory_mib:.0f}",
                 "*" if row.front else "",
-                told,
+                said,
             ]
         )
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]) - 1)] + [0]
@@ -226,6 +227,11 @@ def _table(findings: Findings) -> list[str]:
             f"the reference of {', '.join(findings.guesses)} is a guess, further off than the value changed last: "
             "finer runs tell more"
         )
+    below += [
+        f"{s.measure} of {told(_own(findings, s))} goes to {s.limit:.8g}, no guess: "
+        "first in its list it is the reference"
+        for s in findings.surer
+    ]
     return [*rows, *below, *_facets(findings)]
 
 
@@ -250,15 +256,20 @@ def _rate_lines(findings: Findings) -> list[str]:
             else "no rate of its own"
         )
         to = "" if rate is None else f"; {rate:.2f} to the reference"
-        of = {n: v for n, v in _jsonable(s.settings).items() if n in findings.plan.varied and v is not None}
+        of = _own(findings, s)
         lines.append(f"{s.measure} over {s.along}{f' ({told(of)})' if of else ''}: {own}{to}")
     return lines
 
 
+def _own(findings: Findings, s: Series) -> dict[str, Any]:
+    """What a series does not share with all others."""
+    return {n: v for n, v in _jsonable(s.settings).items() if n in findings.plan.varied and v is not None}
+
+
 def _advice(findings: Findings) -> list[str]:
-    lines = []
+    lines, guess = [], " over a guess" if findings.guesses else ""
     for choices in _by_row(findings.choices):
-        row, accuracies = choices[0].row, ", ".join(f"{choice.accuracy:g}" for choice in choices)
+        row, accuracies = choices[0].row, ", ".join(f"{choice.accuracy:g}" for choice in choices) + guess
         if row is None:
             lines.append(f"error {accuracies}: no run reaches it")
             continue
