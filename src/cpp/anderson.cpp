@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "doubles.hpp"
+
 namespace voile {
 
 Memory::Memory(int size, int depth)
@@ -26,7 +28,7 @@ void Memory::add(const double* now, const double* stepped) {
   begun = true;
 }
 
-static double product(const double* a, const double* b, int size) {
+VOILE_CLONES static double product(const double* a, const double* b, int size) {
   double sum[8] = {};
   int i = 0;
   for (; i + 8 <= size; i += 8)

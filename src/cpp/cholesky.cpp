@@ -3,19 +3,14 @@
 #include <stdexcept>
 
 #include "definite.hpp"
-
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define VOILE_CLONES __attribute__((target_clones("default", "fma")))
-#else
-#define VOILE_CLONES
-#endif
+#include "doubles.hpp"
 
 namespace voile {
 namespace {
 
 constexpr int SIDES = 4;
 
-inline __attribute__((always_inline)) void forward(const Node& k, Double4* x) {
+VOILE_INLINED void forward(const Node& k, Double4* x) {
   using V = Double4;
   V* own = x + k.first;
   const double* row = k.panel;
@@ -41,7 +36,7 @@ inline __attribute__((always_inline)) void forward(const Node& k, Double4* x) {
   }
 }
 
-inline __attribute__((always_inline)) void backward(const Node& k, Double4* x) {
+VOILE_INLINED void backward(const Node& k, Double4* x) {
   using V = Double4;
   V* own = x + k.first;
   const double* below = k.panel + (size_t)k.width * k.width;
@@ -109,7 +104,7 @@ void Cholesky::solve(double* b, int count) {
   const int size = this->size();
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < count; ++k) work[SIDES * i + k] = b[(size_t)k * size + order[i]];
-  sweep(nodes.data(), (int)nodes.size(), reinterpret_cast<Double4*>(work.data()));
+  sweep(nodes.data(), (int)nodes.size(), fours(work.data()));
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < count; ++k) b[(size_t)k * size + order[i]] = work[SIDES * i + k];
 }

@@ -6,9 +6,6 @@
 
 namespace voile {
 
-// Right-hand sides side by side, at most 4, anywhere in an array of numbers.
-typedef double Double4 __attribute__((vector_size(32), aligned(8), may_alias));
-
 // A supernode: `width` columns from place `first` on and `height` rows below. panel, by rows: the triangle
 // with inverse diagonal in a full square, then the rows below.
 struct Node {

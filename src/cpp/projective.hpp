@@ -5,38 +5,46 @@
 #include <cstdint>
 #include <vector>
 
+#include "doubles.hpp"
+
 namespace voile {
 
-// A constant matrix of unknowns by rows, N/m; unknown (3n): of each vertex and axis, -1 where there is none.
+// A constant matrix of nodes by rows, N/m, the same along three axes. An unknown is a node's component: slot,
+// 4 node + axis. soft (4 nodes): 1/diagonal where there is an unknown, else 0. node (n): with which a vertex
+// moves, -1 for none; free (4n): 1 along the axes along which it does, else 0.
 struct Stiffness {
   std::vector<int32_t> start, column;
-  std::vector<double> value, diagonal;
-  std::vector<int32_t> unknown;
+  std::vector<double> value, diagonal, soft, free;
+  std::vector<int32_t> slot, node;
 
-  // Moves unknown u to where its row of matrix way = force holds.
-  void relax(int u, const double* force, double* way) const;
+  // Moves node u to where its row of matrix way = force holds.
+  void relax(int u, const Double4* force, Double4* way) const;
 };
 
 // Linearised: with p the weighted sum of its vertices' positions, its gap is gap + normal.(p - anchor), its
-// slip the tangential part of p - start. In the order in which they are solved.
+// slip the tangential part of p - start.
+struct LocalContact {
+  static constexpr int MOST = 4;  // vertices
+  int32_t vertex[MOST];
+  double weight[MOST];            // 0 where it has fewer
+  double gap, friction;           // m; Coulomb's coefficient
+  Double4 normal, anchor, start;  // unit; m
+  Double4 reaction;               // N, on the side of positive weights
+
+  Double4 place(const double* x) const;
+  // The reaction that the laws project the trial reaction at p on; rho: N/m.
+  Double4 projected(const Double4& p, double rho) const;
+};
+
+// In the order in which they are solved.
 struct LocalContacts {
-  static constexpr int MOST = 4;  // vertices of a contact
-  std::vector<int32_t> vertex;    // (4c)
-  std::vector<double> weight;     // (4c), 0 where it has fewer
-  std::vector<double> gap;        // (c) m
-  std::vector<double> normal;     // (3c) unit
-  std::vector<double> anchor;     // (3c) m
-  std::vector<double> start;      // (3c) m
-  std::vector<double> friction;   // (c) Coulomb's coefficient
-  std::vector<double> reaction;   // (3c) N, on the side of positive weights
+  std::vector<LocalContact> all;
 
-  int count() const { return (int)gap.size(); }
-
-  // One pass of Gauss-Seidel over the contacts: the unknowns of each relax one after the other, then its
-  // reaction becomes the one with which they obey Signorini's and Coulomb's laws, at positions x (3n) m
-  // moved by the way (m) of the unknowns. force (N), the unknowns', takes the changes of the reactions up.
-  // Returns the sum of squares of these changes.
-  double sweep(const double* x, const Stiffness& matrix, double* force, double* way);
+  // Passes of Gauss-Seidel over the contacts: the nodes of each relax one after the other, then its reaction
+  // becomes the one with which they obey Signorini's and Coulomb's laws, at positions x (3n) m moved by what
+  // force (N), the unknowns', has led them to. At most so many, or until one changes reactions by no more
+  // than the share `settled` of what the first did.
+  void sweep(const double* x, const Stiffness& matrix, const double* force, int passes, double settled);
   // Adds the reactions to the vertices' forces (3n) N.
   void spread(double* force) const;
   // Sum of squares of what the reactions miss of those that the laws project on, at positions x, for the
@@ -44,8 +52,7 @@ struct LocalContacts {
   double mismatch(const double* x, const double* rho, const uint8_t* counts) const;
 
  private:
-  void place(int c, const double* x, double p[3]) const;
-  void project(int c, const double p[3], double rho, double r[3]) const;
+  std::vector<double> pushed, way;  // (4 nodes) N, m: the forces, and the motion by them
 };
 
 }  // namespace voile

@@ -3,6 +3,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include <algorithm>
 #include <stdexcept>
 
 #include "anderson.hpp"
@@ -103,48 +104,64 @@ NB_MODULE(_projective, m) {
       .def(
           "__init__",
           [](Stiffness* self, In<int32_t> start, In<int32_t> column, In<double> value, In<double> diagonal,
-             In<int32_t> unknown) {
-            new (self)
-                Stiffness{copied(start, diagonal.size() + 1, "start"), copied(column, value.size(), "column"),
-                          copied(value, value.size(), "value"), copied(diagonal, diagonal.size(), "diagonal"),
-                          copied(unknown, unknown.size(), "unknown")};
+             In<double> soft, In<double> free, In<int32_t> slot, In<int32_t> node) {
+            const size_t nodes = diagonal.size();
+            new (self) Stiffness{copied(start, nodes + 1, "start"),    copied(column, value.size(), "column"),
+                                 copied(value, value.size(), "value"), copied(diagonal, nodes, "diagonal"),
+                                 copied(soft, 4 * nodes, "soft"),      copied(free, 4 * node.size(), "free"),
+                                 copied(slot, slot.size(), "slot"),    copied(node, node.size(), "node")};
           },
-          "start"_a, "column"_a, "value"_a, "diagonal"_a, "unknown"_a);
+          "start"_a, "column"_a, "value"_a, "diagonal"_a, "soft"_a, "free"_a, "slot"_a, "node"_a);
 
   nb::class_<LocalContacts>(m, "LocalContacts")
       .def(
           "__init__",
           [](LocalContacts* self, In<int32_t> vertex, In<double> weight, In<double> gap, In<double> normal,
              In<double> anchor, In<double> start, In<double> friction, In<double> reaction) {
-            const size_t c = gap.size();
-            new (self) LocalContacts{copied(vertex, 4 * c, "vertex"), copied(weight, 4 * c, "weight"),
-                                     copied(gap, c, "gap"),           copied(normal, 3 * c, "normal"),
-                                     copied(anchor, 3 * c, "anchor"), copied(start, 3 * c, "start"),
-                                     copied(friction, c, "friction"), copied(reaction, 3 * c, "reaction")};
+            const size_t count = gap.size();
+            new (self) LocalContacts{};
+            self->all.resize(count);
+            const int32_t* vertices = sized(vertex, 4 * count, "vertex");
+            const double *weights = sized(weight, 4 * count, "weight"),
+                         *rubs = sized(friction, count, "friction");
+            const double* vectors[] = {sized(normal, 3 * count, "normal"), sized(anchor, 3 * count, "anchor"),
+                                       sized(start, 3 * count, "start"),
+                                       sized(reaction, 3 * count, "reaction")};
+            for (size_t k = 0; k < count; ++k) {
+              LocalContact& c = self->all[k];
+              std::copy_n(vertices + 4 * k, 4, c.vertex);
+              std::copy_n(weights + 4 * k, 4, c.weight);
+              c.gap = gap.data()[k], c.friction = rubs[k];
+              Double4* to[] = {&c.normal, &c.anchor, &c.start, &c.reaction};
+              for (int i = 0; i < 4; ++i)
+                *to[i] = Double4{vectors[i][3 * k], vectors[i][3 * k + 1], vectors[i][3 * k + 2], 0.0};
+            }
           },
           "vertex"_a, "weight"_a, "gap"_a, "normal"_a, "anchor"_a, "start"_a, "friction"_a, "reaction"_a)
       .def(
           "sweep",
-          [](LocalContacts& self, In<double> x, const Stiffness& matrix, Out<double> force, Out<double> way) {
-            const size_t size = matrix.diagonal.size();
-            return self.sweep(sized(x, matrix.unknown.size(), "x"), matrix, sized(force, size, "force"),
-                              sized(way, size, "way"));
+          [](LocalContacts& self, In<double> x, const Stiffness& matrix, In<double> force, int passes,
+             double settled) {
+            self.sweep(sized(x, 3 * matrix.node.size(), "x"), matrix,
+                       sized(force, matrix.slot.size(), "force"), passes, settled);
           },
-          "x"_a, "matrix"_a, "force"_a, "way"_a)
+          "x"_a, "matrix"_a, "force"_a, "passes"_a, "settled"_a)
       .def(
           "spread", [](const LocalContacts& self, Out<double> force) { self.spread(force.data()); },
           "force"_a)
       .def(
           "mismatch",
           [](const LocalContacts& self, In<double> x, In<double> rho, In<uint8_t> counts) {
-            return self.mismatch(x.data(), sized(rho, self.gap.size(), "rho"),
-                                 sized(counts, self.gap.size(), "counts"));
+            return self.mismatch(x.data(), sized(rho, self.all.size(), "rho"),
+                                 sized(counts, self.all.size(), "counts"));
           },
           "x"_a, "rho"_a, "counts"_a)
       .def(
           "reaction",
           [](const LocalContacts& self, Out<double> out) {
-            std::copy(self.reaction.begin(), self.reaction.end(), sized(out, self.reaction.size(), "out"));
+            double* to = sized(out, 3 * self.all.size(), "out");
+            for (const LocalContact& c : self.all)
+              for (int a = 0; a < 3; ++a) *to++ = c.reaction[a];
           },
           "out"_a);
 }

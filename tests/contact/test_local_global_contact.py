@@ -9,7 +9,8 @@ import protocols
 import pytest
 from falling import G, Slope, cloth, turning_sphere
 from local_global_ranks import OFFSET, stack
-from marching import March
+from marching import ALWAYS, March
+from test_problem import make_shell, sewn_panels, sheet
 
 from voile.problem.contact import shell_layers, with_obstacles
 from voile.problem.problem import Problem
@@ -117,6 +118,29 @@ def test_steps_on_a_turning_sphere_are_newtons(friction):
     normal, theirs = ours.contact.history.normal[0], theirs.contact.history.normal[0]
     assert (theirs > 0.0).sum() > 20
     assert np.abs(normal - theirs).max() < 1e-5 * theirs.max()
+
+
+@pytest.mark.parametrize("sewn", [False, True])
+def test_what_is_held_along_some_axes_or_sewn_lands_as_newtons(sewn):
+    """Sweeps move a vertex with the components that it has, or with what it is sewn to. The far edge
+    lands with its x held."""
+    shell = sewn_panels() if sewn else make_shell(*sheet(10, 5))
+    shell.model, shell.load_laws, shell.clamped_edges = "projective//", ALWAYS, np.zeros(0, dtype=np.int32)
+    shell.young = 1e5 * np.ones(len(shell.triangles))
+    shell.fixed[:, 1:] = False
+    ball = replace(turning_sphere(0.3, 0.2, 0.0, 0.0), center=np.array([1.02 if sewn else 0.6, 0.25, -0.201]))
+    bumps = [ball, replace(Slope(0.0).plane(0.3), point=np.array([0.0, 0.0, -0.02]))]
+    ours, theirs = (with_obstacles(Problem(shell), bumps, 0.0) for _ in range(2))
+    fast, slow = March(ours, 0.0, 0.01, 1e-10), March(theirs, 0.0, 0.01, 1e-10)
+    quick, exact = local_global(ours, 20000), newton(theirs)
+    for _ in range(10):
+        fast.step(quick.solve)
+        slow.step(exact.solve)
+        assert fast.outcome.reason == ""
+    assert np.abs(fast.x - slow.x).max() < 1e-6
+    held = shell.fixed[:, 0]
+    assert (fast.x[held][:, 0] == ours.part.points[held][:, 0]).all() and fast.x[held, 2].max() < -0.019
+    assert sum(int((normal > 0.0).sum()) for normal in ours.contact.history.normal) > 5
 
 
 @pytest.mark.mpi

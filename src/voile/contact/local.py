@@ -12,6 +12,7 @@ import numpy as np
 
 from voile import _projective
 from voile.arrays import Ints, Reals
+from voile.contact.directions import lengths
 from voile.contact.interfaces import ObstacleContact, SelfContact
 from voile.contact.natural_map import NaturalMap
 from voile.contact.pairs import within
@@ -75,9 +76,10 @@ class LocalLaws:
         ]
         joined = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Linearised))
         found = _Linearised(*joined)
-        found = self.found = found.each(np.argsort(self._levels(found), kind="stable"))
-        touched = found.vertex[found.weight != 0.0]
-        self._shared = len(np.unique(touched)) < len(touched)
+        if self.contact.itself:
+            found = found.each(np.argsort(self._levels(found), kind="stable"))
+        self.found = found
+        self._shared = bool((np.bincount(found.vertex[found.weight != 0.0]) > 1).any())
         self.laws = _projective.LocalContacts(
             found.vertex,
             found.weight,
@@ -95,21 +97,23 @@ class LocalLaws:
             self.gaps.append((partner.gaps(x, t, history), x))
         gap, at = self.gaps[k]
         # Distances change no faster than positions.
-        near = gap - np.linalg.norm(x - at, axis=1) < reach
+        near = gap - lengths(x - at) < reach
         rows = np.flatnonzero((near | (history.normal[k] > 0.0)) & partner.movable(history))
         g = partner.geometry(rows, x, t, history)
-        table = np.full((len(x), 12), np.nan)
-        table[rows, 0], table[rows, 1:4] = g.gap, g.gradient
-        ones = np.ones((len(rows), 1))
-        table[rows, 4:7] = x[rows] - partner.moved(rows, ones, x, t, history)
-        table[rows, 7], table[rows, 8:11] = history.normal[k][rows], history.friction[k][rows]
-        table[rows, 11] = partner.counted(rows, history)
-        table, x = self._gather(table), self._gather(x)
-        rows = np.flatnonzero(np.isfinite(table[:, 0]))
-        table = table[rows]
+        table = np.empty((len(rows), 15))
+        table[:, 0], table[:, 1:4], table[:, 4:7] = g.gap, g.gradient, x[rows]
+        table[:, 7:10] = table[:, 4:7] - partner.moved(rows, np.ones((len(rows), 1)), x, t, history)
+        table[:, 10], table[:, 11:14] = history.normal[k][rows], history.friction[k][rows]
+        table[:, 14] = partner.counted(rows, history)
+        if self.contact.itself:
+            wide = np.full((len(x), 15), np.nan)
+            wide[rows] = table
+            wide = self._gather(wide)
+            rows = np.flatnonzero(np.isfinite(wide[:, 0]))
+            table = wide[rows]
         vertex, weight = np.zeros((len(rows), MOST), dtype=np.int32), np.zeros((len(rows), MOST))
         vertex[:, 0], weight[:, 0] = rows, 1.0
-        return self._made(k, rows, vertex, weight, table[:, 0], table[:, 1:4], x[rows], table[:, 4:])
+        return self._made(k, rows, vertex, weight, table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7:])
 
     def _layers(self, k: int, partner: SelfContact, x: Reals, anchor: Reals) -> _Linearised:
         wide, wide_anchor = partner.gather(x), partner.gather(anchor)
@@ -137,7 +141,7 @@ class LocalLaws:
         rest: Reals,
     ) -> _Linearised:
         count, contact = len(rows), self.contact
-        length = np.linalg.norm(gradient, axis=1)
+        length = lengths(gradient)
         normal = gradient / length[:, None]
         reaction = rest[:, 3, None] * gradient + within(normal, rest[:, 4:7])
         same = np.ones(count)
@@ -174,17 +178,13 @@ class LocalLaws:
 
     # ---- an iteration ----
 
-    def sweep(self, x: Reals, resistance: _projective.Stiffness, force: Reals) -> Reals:
+    def sweep(self, x: Reals, resistance: _projective.Stiffness, force: Reals) -> None:
         """New reactions at positions x (n, 3) m: with them vertices that `force` (unknowns,) N moves against the
-        `resistance` obey the laws; (n, 3) N, what the shell's forces have changed by."""
-        before, wide, way = self.force(), np.ascontiguousarray(self._gather(x)), np.zeros_like(force)
-        first = self.laws.sweep(wide, resistance, force, way)
-        for _ in range((SHARED if self._shared else SWEEPS) - 1):
-            if self.laws.sweep(wide, resistance, force, way) <= SETTLED**2 * first:
-                break
-        return self.force() - before
+        `resistance` obey the laws."""
+        wide = np.ascontiguousarray(self._gather(x))
+        self.laws.sweep(wide, resistance, force, SHARED if self._shared else SWEEPS, SETTLED)
 
-    def force(self) -> Reals:
+    def forces(self) -> Reals:
         """(n, 3) reactions on the shell (N)."""
         total = np.zeros((self.count, 3))
         self.laws.spread(total)

@@ -104,10 +104,10 @@ class Elastic(Term):
         return {"stretching": stretching, "bending": bending}
 
     def forces(self, at: Point) -> Reals:
-        gradient, edge_gradient = np.zeros_like(at.u), np.zeros_like(at.phi)
+        gradient, count = np.zeros(len(at.u) + len(at.phi)), len(at.u)
         with self.timed():
-            self.at(at.time).gradient(at.u, at.phi, gradient, edge_gradient)
-        return -np.concatenate([gradient, edge_gradient])
+            self.at(at.time).gradient(at.u, at.phi, gradient[:count], gradient[count:])
+        return np.negative(gradient, out=gradient)
 
     def clamp_work(self, at: Point, since: float, until: float) -> float:
         """J that this rank's clamps work on the shell as they rotate between two times (s), with their moments at a

@@ -26,7 +26,11 @@ class Inertia(Term):
         return {self.name: 0.5 * float((self.mass * away)[self.own].sum())}
 
     def forces(self, at: Point) -> Reals:
-        return at.over_dofs(self.coefficient * self.mass[:, None] * (self.predicted - at.positions))
+        found = np.zeros(len(at.u) + len(at.phi))
+        at_vertices = found[: len(at.u)].reshape(-1, 3)
+        np.subtract(self.predicted, at.positions, out=at_vertices)
+        at_vertices *= self.coefficient * self.mass[:, None]
+        return found
 
     def blocks(self, at: Point, which: Hessian) -> Blocks:
         yield mass_blocks(self.mass, self.coefficient)

@@ -45,6 +45,7 @@ class Loads(Term):
         count = 3 * len(self.part.vertex)
         self.weight = np.zeros(count + len(self.part.edge))  # N where all of gravity acts
         self.weight[:count] = (self.part.mass[:count].reshape(-1, 3) * self.gravity).ravel()
+        self._dead: tuple[tuple[float, float], Reals] | None = None
 
     def factor(self, name: str, time: float) -> float:
         """How much of a load acts."""
@@ -71,15 +72,23 @@ class Loads(Term):
         return {name: -self.factor(name, at.time) * value for name, value in work.items()}
 
     def forces(self, at: Point) -> Reals:
-        total = (
-            self.factor("gravity", at.time) * self.weight + self.factor("force", at.time) * self.part.force
-        )
+        total = self._dead_at(at.time)
+        if self.pressed or self.moments:
+            total = total.copy()
         if self.pressed:
             force = pressure_force(at.positions, self.part)
             total[: len(at.u)] += self.factor("pressure", at.time) * force
         if self.moments:
             total += self.factor("moment", at.time) * self.moments.forces(self.elastic.kernel, at.u)
         return total
+
+    def _dead_at(self, time: float) -> Reals:
+        """(dofs,) N, of gravity and dead forces, kept for the next call."""
+        if not self._dead or self._dead[0] != (self.share, time):
+            gravity, force = self.factor("gravity", time), self.factor("force", time)
+            self._dead = (self.share, time), gravity * self.weight + force * self.part.force
+            self._dead[1].flags.writeable = False
+        return self._dead[1]
 
     def prepare(self, at: Point) -> None:
         """Tells the kernel what moments add to its Hessian, symmetrised, and keeps their skew part."""

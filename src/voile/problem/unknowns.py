@@ -58,15 +58,19 @@ class Unknowns:
 
     def spread(self, y: PETSc.Vec) -> tuple[Reals, Reals]:
         """C y: displacements (3 local vertices,) and director angles (local edges,)."""
-        self._ghost_scatter.scatter(y, self._ghost_values, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
-        dofs = self.part.matrix @ np.concatenate([y.array_r, self._ghost_values.array_r])
+        dofs = self._spread(y)
         return dofs[: self.vertices], dofs[self.vertices :]
+
+    def _spread(self, y: PETSc.Vec) -> Reals:
+        self._ghost_scatter.scatter(y, self._ghost_values, PETSc.InsertMode.INSERT, PETSc.ScatterMode.FORWARD)
+        found: Reals = self.part.matrix @ np.concatenate([y.array_r, self._ghost_values.array_r])
+        return found
 
     def shape(self, y: PETSc.Vec, time: float) -> tuple[Reals, Reals]:
         """Displacements from the origin (3 local vertices,) m and director angles (local edges,)."""
-        u, phi = self.spread(y)
-        held = self.held(time)
-        return u + held[: self.vertices], phi + held[self.vertices :]
+        dofs = self._spread(y)
+        dofs += self.held(time)
+        return dofs[: self.vertices], dofs[self.vertices :]
 
     def collect(self, dofs: Reals) -> Reals:
         """C^T of local forces: (own unknowns,)."""

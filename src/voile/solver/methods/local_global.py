@@ -18,6 +18,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.arrays import Reals
+from voile.contact.directions import lengths
 from voile.contact.local import LocalLaws
 from voile.problem.contact import contact_of
 from voile.problem.elastic import Elastic
@@ -145,6 +146,7 @@ class _Step:
         self.force, self.direction = problem.create_vector(), problem.create_vector()
         self.anderson = Anderson(problem.comm, len(y.array_r), method.options.depth)
         self.stepped, self._spread = np.inf, np.zeros(problem.part.matrix.shape[0])
+        self.reactions = np.zeros(len(y.array_r))  # along the own unknowns (N)
         self.norms, self.renewed = (np.inf, 0.0), 0.0
         self.laws: LocalLaws | None = None
         if problem.contact and resistance:
@@ -165,24 +167,30 @@ class _Step:
     def measure(self, y: PETSc.Vec) -> None:
         """Evaluates forces and laws at y."""
         at, terms = self.problem.point(y), self.problem.terms
-        self.x, self.width = at.positions, at.u.size
-        self.forces = sum((term.forces(at) for term in terms[1:]), terms[0].forces(at))
-        self._add_reactions()
+        self.x = at.positions
+        self.shell = self.problem.layout.collect(sum((t.forces(at) for t in terms[1:]), terms[0].forces(at)))
+        self._miss()
 
     def renew(self) -> None:
         """Linearises contacts where y was last measured."""
         if self.laws is not None:
             self._linearise(self.laws, self.x)
-            self._add_reactions()
+            self._react(self.laws)
+            self._miss()
         self.renewed = self.options.fallen * self.norm
 
-    def _add_reactions(self) -> None:
-        problem, laws, missed, forces = self.problem, self.laws, 0.0, self.forces
+    def _react(self, laws: LocalLaws) -> None:
+        """Takes the reactions' forces."""
+        reactions = laws.forces().ravel()
+        self._spread[: len(reactions)] = reactions
+        self.reactions = self.problem.layout.collect(self._spread)
+
+    def _miss(self) -> None:
+        """Measures forces and laws."""
+        laws, missed = self.laws, 0.0
+        np.add(self.shell, self.reactions, out=self.force.array)
         if laws is not None and laws.found is not None:
-            forces = forces.copy()
-            forces[: self.width] += laws.force().ravel()
-            missed = problem.comm.allreduce(laws.mismatch(self.x))
-        self.force.array[:] = problem.layout.collect(forces)
+            missed = self.problem.reduced(laws.mismatch(self.x))
         self.norms = float(self.force.norm()), float(np.sqrt(missed))
 
     def _linearise(self, laws: LocalLaws, x: Reals) -> None:
@@ -190,16 +198,16 @@ class _Step:
         laws.remember()
         if contact.itself and contact.free_share(self.start, x) == 1.0:
             self.anchor = x
-        reach = np.linalg.norm(x - self.start, axis=1) + self.options.near * problem.size()
+        reach = lengths(x - self.start) + self.options.near * problem.size()
         laws.linearise(x, reach, self.anchor)
 
     def advance(self, y: PETSc.Vec) -> None:
         """One iteration from y, where `force` has been measured."""
-        problem, force, direction = self.problem, self.force, self.direction
+        force, direction = self.force, self.direction
         if self.laws is not None:
-            change = self.laws.sweep(self.x, self.resistance.stiffness, self.resistance.gather(force))
-            self._spread[: change.size] = change.ravel()
-            force.array[:] += problem.layout.collect(self._spread)
+            self.laws.sweep(self.x, self.resistance.stiffness, self.resistance.gather(force))
+            self._react(self.laws)
+            np.add(self.shell, self.reactions, out=force.array)
         self._solve()
         size = direction.norm()
         if size > self.options.growth * self.stepped:
