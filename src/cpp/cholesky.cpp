@@ -1,70 +1,79 @@
 #include "cholesky.hpp"
 
+#include <algorithm>
 #include <stdexcept>
 
+#include "blas.hpp"
 #include "definite.hpp"
 #include "doubles.hpp"
 
 namespace voile {
 namespace {
 
-constexpr int SIDES = 4;
+typedef Double4 V;
+constexpr int SIDES = 3, STRIP = 4;
 
-VOILE_INLINED void forward(const Node& k, Double4* x) {
-  using V = Double4;
-  V* own = x + k.first;
-  const double* row = k.panel;
-  for (int i = 0; i < k.width; ++i, row += k.width) {
-    V sum = own[i];
-    for (int j = 0; j < i; ++j) sum -= row[j] * own[j];
-    own[i] = sum * row[i];
+VOILE_INLINED void transpose(V m[4]) {
+  const V a = __builtin_shufflevector(m[0], m[1], 0, 4, 2, 6),
+          b = __builtin_shufflevector(m[0], m[1], 1, 5, 3, 7);
+  const V c = __builtin_shufflevector(m[2], m[3], 0, 4, 2, 6),
+          d = __builtin_shufflevector(m[2], m[3], 1, 5, 3, 7);
+  m[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5), m[1] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
+  m[2] = __builtin_shufflevector(a, c, 2, 3, 6, 7), m[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+}
+
+// Adds what MANY strips from the i-th on make of the columns' values `own`.
+template <int MANY>
+VOILE_INLINED void add(const Node& k, int i, const V* own, V* x) {
+  V sum[MANY][4] = {};
+  const V* strip = fours(k.panel) + (size_t)i * k.width;
+  for (int j = 0; j < k.width; ++j) {
+    const double* value = reinterpret_cast<const double*>(own + j);
+    for (int s = 0; s < MANY; ++s)
+      for (int side = 0; side < SIDES; ++side) sum[s][side] += strip[(size_t)s * k.width + j] * value[side];
   }
+  for (int s = 0; s < MANY; ++s) {
+    transpose(sum[s]);
+    for (int r = 0; r < STRIP; ++r) x[k.rows[STRIP * (i + s) + r]] += sum[s][r];
+  }
+}
+
+VOILE_INLINED void forward(const Node& k, V* own, V* x) {
+  for (int j = 0; j < k.width; ++j) own[j] = x[k.first + j], x[k.first + j] = V{};
   int i = 0;
-  for (; i + 4 <= k.height; i += 4, row += 4 * k.width) {
-    V a = {}, b = {}, c = {}, d = {};
-    for (int j = 0; j < k.width; ++j) {
-      const V v = own[j];
-      a += row[j] * v, b += row[k.width + j] * v, c += row[2 * k.width + j] * v,
-          d += row[3 * k.width + j] * v;
-    }
-    x[k.rows[i]] -= a, x[k.rows[i + 1]] -= b, x[k.rows[i + 2]] -= c, x[k.rows[i + 3]] -= d;
-  }
-  for (; i < k.height; ++i, row += k.width) {
-    V sum = {};
-    for (int j = 0; j < k.width; ++j) sum += row[j] * own[j];
-    x[k.rows[i]] -= sum;
+  for (; i + 2 <= k.strips; i += 2) add<2>(k, i, own, x);
+  if (i < k.strips) add<1>(k, i, own, x);
+}
+
+// What all strips make of their rows' values, (strips, SIDES), in MANY columns from the j-th on.
+template <int MANY>
+VOILE_INLINED void gather(const Node& k, int j, const V* values, V* x) {
+  V sum[MANY][4] = {};
+  const V* strip = fours(k.panel) + j;
+  for (int i = 0; i < k.strips; ++i, strip += k.width)
+    for (int c = 0; c < MANY; ++c)
+      for (int side = 0; side < SIDES; ++side) sum[c][side] += strip[c] * values[SIDES * i + side];
+  for (int c = 0; c < MANY; ++c) {
+    transpose(sum[c]);
+    x[k.first + j + c] = (sum[c][0] + sum[c][1]) + (sum[c][2] + sum[c][3]);
   }
 }
 
-VOILE_INLINED void backward(const Node& k, Double4* x) {
-  using V = Double4;
-  V* own = x + k.first;
-  const double* below = k.panel + (size_t)k.width * k.width;
+VOILE_INLINED void backward(const Node& k, V* values, V* x) {
+  for (int i = 0; i < k.strips; ++i) {
+    V rows[4];
+    for (int r = 0; r < STRIP; ++r) rows[r] = x[k.rows[STRIP * i + r]];
+    transpose(rows);
+    for (int side = 0; side < SIDES; ++side) values[SIDES * i + side] = rows[side];
+  }
   int j = 0;
-  for (; j + 4 <= k.width; j += 4) {
-    V a = own[j], b = own[j + 1], c = own[j + 2], d = own[j + 3];
-    const double* row = below + j;
-    for (int i = 0; i < k.height; ++i, row += k.width) {
-      const V v = x[k.rows[i]];
-      a -= row[0] * v, b -= row[1] * v, c -= row[2] * v, d -= row[3] * v;
-    }
-    own[j] = a, own[j + 1] = b, own[j + 2] = c, own[j + 3] = d;
-  }
-  for (; j < k.width; ++j) {
-    V sum = own[j];
-    for (int i = 0; i < k.height; ++i) sum -= below[(size_t)i * k.width + j] * x[k.rows[i]];
-    own[j] = sum;
-  }
-  for (int i = k.width - 1; i >= 0; --i) {
-    const double* row = k.panel + (size_t)i * k.width;
-    own[i] = own[i] * row[i];
-    for (int j = 0; j < i; ++j) own[j] -= row[j] * own[i];
-  }
+  for (; j + 4 <= k.width; j += 4) gather<4>(k, j, values, x);
+  for (; j < k.width; ++j) gather<1>(k, j, values, x);
 }
 
-VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
-  for (int s = 0; s < count; ++s) forward(nodes[s], x);
-  for (int s = count - 1; s >= 0; --s) backward(nodes[s], x);
+VOILE_CLONES void sweep(const Node* nodes, int count, V* values, V* x) {
+  for (int s = 0; s < count; ++s) forward(nodes[s], values, x);
+  for (int s = count - 1; s >= 0; --s) backward(nodes[s], values, x);
 }
 
 }  // namespace
@@ -72,41 +81,48 @@ VOILE_CLONES void sweep(const Node* nodes, int count, Double4* x) {
 Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
   Definite made(std::make_shared<Fronts>(size, start, column, 1));
   if (!made.factor(value)) throw std::runtime_error("the matrix is not positive definite");
-  const cholmod_factor& f = *made.by().made;
-  const auto *super = static_cast<const int32_t*>(f.super), *at = static_cast<const int32_t*>(f.pi);
-  const auto *places = static_cast<const int32_t*>(f.px), *index = static_cast<const int32_t*>(f.s);
-  const auto* perm = static_cast<const int32_t*>(f.Perm);
-  order.assign(perm, perm + size);
-  struct Place {
-    size_t row, panel;
-  };
-  std::vector<Place> starts;
-  for (size_t s = 0; s < f.nsuper; ++s) {
-    const int width = super[s + 1] - super[s], height = at[s + 1] - at[s];
-    const double* from = made.panels() + places[s];  // by columns of `height`
-    starts.push_back({rows.size(), panel.size()});
-    for (int i = 0; i < height; ++i)
-      for (int j = 0; j < width; ++j) {
-        const double v = from[i + (size_t)j * height];
-        panel.push_back((i == j ? 1.0 / v : i < j ? 0.0 : v));
+  const Fronts& by = made.by();
+  order.assign(by.order(), by.order() + size);
+  std::vector<double> front;
+  std::vector<size_t> starts;
+  size_t most = 0;
+  for (const Front& f : by.all) {
+    const double* from = made.panels() + f.panel;
+    front.assign(from, from + (size_t)f.height * f.width);
+    for (int j = 0; j < f.width; ++j)
+      for (int i = 0; i < f.height; ++i) {
+        double& entry = front[i + (size_t)j * f.height];
+        entry = i < f.width ? i == j : -entry;
       }
-    rows.insert(rows.end(), index + at[s] + width, index + at[s + 1]);
+    const double one = 1.0;
+    dtrsm_("R", "L", "N", "N", &f.height, &f.width, &one, from, &f.height, front.data(), &f.height);
+    const int strips = (f.height + STRIP - 1) / STRIP;
+    starts.push_back(rows.size());
+    nodes.push_back({f.first, f.width, strips, nullptr, nullptr});
+    rows.insert(rows.end(), f.rows, f.rows + f.height);
+    rows.resize(starts.back() + (size_t)STRIP * strips, size);
+    for (int i = 0; i < STRIP * strips; i += STRIP)
+      for (int j = 0; j < f.width; ++j)
+        for (int r = i; r < i + STRIP; ++r)
+          panel.push_back(r < f.height ? front[r + (size_t)j * f.height] : 0.0);
+    most = std::max({most, (size_t)SIDES * strips, (size_t)f.width});
   }
-  work.resize((size_t)SIDES * size);
-  for (size_t s = 0; s < f.nsuper; ++s) {
-    const int width = super[s + 1] - super[s];
-    nodes.push_back({super[s], width, at[s + 1] - at[s] - width, rows.data() + starts[s].row,
-                     panel.data() + starts[s].panel});
+  const double* next = panel.data();
+  for (size_t s = 0; s < nodes.size(); ++s) {
+    nodes[s].rows = rows.data() + starts[s], nodes[s].panel = next;
+    next += (size_t)STRIP * nodes[s].strips * nodes[s].width;
   }
+  work.resize(4 * ((size_t)size + 1));
+  values.resize(4 * most);
 }
 
 void Cholesky::solve(double* b, int count) {
   const int size = this->size();
   for (int i = 0; i < size; ++i)
-    for (int k = 0; k < count; ++k) work[SIDES * i + k] = b[(size_t)k * size + order[i]];
-  sweep(nodes.data(), (int)nodes.size(), fours(work.data()));
+    for (int k = 0; k < count; ++k) work[4 * i + k] = b[(size_t)k * size + order[i]];
+  sweep(nodes.data(), (int)nodes.size(), fours(values.data()), fours(work.data()));
   for (int i = 0; i < size; ++i)
-    for (int k = 0; k < count; ++k) b[(size_t)k * size + order[i]] = work[SIDES * i + k];
+    for (int k = 0; k < count; ++k) b[(size_t)k * size + order[i]] = work[4 * i + k];
 }
 
 }  // namespace voile

@@ -6,24 +6,24 @@
 
 namespace voile {
 
-// A supernode: `width` columns from place `first` on and `height` rows below. panel, by rows: the triangle
-// with inverse diagonal in a full square, then the rows below.
+// A supernode: `width` columns from place `first` on, and its rows, its own first, in `strips` of four, of
+// which the last is filled up with rows of zeros at the place behind all. panel (strips, width, 4): with its
+// columns of L (L1; L2) it is (1; -L2) L1^-1, so that no entry of a solve waits for another.
 struct Node {
-  int first, width, height;
+  int first, width, strips;
   const int32_t* rows;
   const double* panel;
 };
 
-// L L^T of a symmetric positive definite matrix, in the supernodes of `Definite`, stored by rows. Three
-// right-hand sides are solved for in the time of one: 0.31 ms at 6,000 vertices where CHOLMOD's own solves
-// take 0.51 (simplicial) and 0.69.
+// L L^T of a symmetric positive definite matrix, in the supernodes of `Definite`. Three right-hand sides are
+// solved for in the time of one: 0.32 ms at 5,929 vertices, where substitution by rows takes 0.47.
 class Cholesky {
  public:
   // Rows of the matrix, both triangles, columns ascending. Throws std::runtime_error where it is not positive
   // definite.
   Cholesky(int size, const int32_t* start, const int32_t* column, const double* value);
 
-  // b = A^-1 b for `count` right-hand sides of `size` numbers each, at most 4.
+  // b = A^-1 b for `count` right-hand sides of `size` numbers each, at most 3.
   void solve(double* b, int count);
   int size() const { return (int)order.size(); }
   double nonzeros() const { return (double)panel.size(); }  // of the supernodes
@@ -33,7 +33,7 @@ class Cholesky {
   std::vector<int32_t> rows;   // of all supernodes
   std::vector<double> panel;
   std::vector<Node> nodes;
-  std::vector<double> work;  // (4 size)
+  std::vector<double> work, values;  // (size + 1, 4); of a supernode's rows (strips, 3, 4)
 };
 
 }  // namespace voile

@@ -65,8 +65,8 @@ NB_MODULE(_projective, m) {
       .def(
           "solve",
           [](Cholesky& self, Out<double> b) {
-            if (b.ndim() != 2 || b.shape(0) > 4 || b.shape(1) != (size_t)self.size())
-              throw nb::value_error("solve: (right-hand sides, size) expected, at most 4");
+            if (b.ndim() != 2 || b.shape(0) > 3 || b.shape(1) != (size_t)self.size())
+              throw nb::value_error("solve: (right-hand sides, size) expected, at most 3");
             self.solve(b.data(), (int)b.shape(0));
           },
           "b"_a)
