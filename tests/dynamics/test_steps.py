@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from mesh_helpers import plate_mesh
 from moving import cloth, move
+from mpi4py import MPI
 from test_contact_in_time import on_slope
 from test_problem import sheet
 
 from voile.contact.crossing import entries
 from voile.contact.motion import Spell
 from voile.contact.obstacles import Box, MeshBody, Plane, Sphere, Torus
+from voile.problem.contact import with_obstacles
 from voile.problem.damping import Air, Damping
+from voile.problem.problem import Problem
 from voile.solver.methods.method import Outcome
 from voile.solver.path_in_time import TimeOptions
 from voile.solver.stepping.newton_step import NewtonStep
@@ -105,17 +108,36 @@ def test_a_fast_plate_takes_a_sheet_along():
 def test_ways_across_bodies_are_seen():
     ball = Sphere(center=np.zeros(3), radius=0.1)
     points, triangles = sheet(1, 1)
-    from mpi4py import MPI
-
-    from voile.problem.contact import with_obstacles
-    from voile.problem.problem import Problem
-
     contact = with_obstacles(Problem(cloth(points, triangles), MPI.COMM_SELF), [ball], 0.0).contact
     start = np.array([[-1.0, 0.0, 0.05], [-1.0, 0.0, 0.2], [0.0, 0.0, 0.1], [0.0, 0.0, 0.1]])
     end = np.array(
         [[1.0, 0.0, 0.05], [1.0, 0.0, 0.2], [0.02, 0.0, np.sqrt(0.01 - 0.02**2)], [0.0, 0.0, -0.1]]
     )
     assert contact.crosses(start, 0.0, end, 1.0).tolist() == [True, False, False, True]
+
+
+def test_ways_round_an_edge_are_no_ways_through():
+    """Over an edge of a box from face to face, and off the top through the air; then to the face below."""
+    points, triangles = sheet(1, 1)
+    contact = with_obstacles(Problem(cloth(points, triangles), MPI.COMM_SELF), [thin_plate()], 0.0).contact
+    top = np.array([0.98, 0.0, 5e-4])
+    end = np.array([[1.0, 0.0, 2e-4], [1.3, 0.0, -0.1], [1.3, 0.0, 0.1], [0.98, 0.0, -5e-4]])
+    start = np.array([top, top, top, top])
+    start[1, 2] = 0.4
+    assert contact.crosses(start, 0.0, end, 1.0).tolist() == [False, False, False, True]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_sheet_slides_over_an_edge_in_whole_steps(friction):
+    """As long as a turn by a right angle was taken for a way through, 15 and 11 of its steps were cut."""
+    points, triangles = sheet(8, 4, 0.2, 0.1)
+    points += np.array([-0.15, -0.05, 1e-3])
+    body = Box(center=np.array([-0.5, 0.0, -0.1]), sizes=np.array([0.5, 0.5, 0.1]), friction=friction)
+    shell = cloth(points, triangles, rest_points=points, young=1e5)
+    along = np.array([1.0, 0.0, 0.0])
+    run = move(shell, "implicit-euler", 5e-3, 0.3, along, [body], 5e-4, tolerance=1e-6)
+    assert run.path.converged and run.path.attempts == run.path.count == 60
+    assert run.end[:, 0].min() > 0.1 and run.end[:, 2].max() < -0.1  # it has fallen off
 
 
 def test_steps_follow_their_local_error():

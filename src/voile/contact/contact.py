@@ -26,7 +26,6 @@ from voile.contact.pairs import FREE, SLIP, STICK, Pairs, outer, within
 __all__ = ["FREE", "SLIP", "STICK", "Contact", "History", "Linearised", "Pairs"]
 FIRMER = 10.0  # penalty of the equations over that of those before
 SLID = 0.05  # of its length, by which it may lead deeper where it ends at the obstacle
-TURNED = 0.5  # cosine of the turn between normals that are on different sides of a body
 CLEAR = 0.02  # sizes: a gap from which it does not end there
 
 
@@ -67,7 +66,7 @@ class Contact(NaturalMap):
 
     def crosses(self, x: Reals, began: float, moved: Reals, ended: float) -> Flags:
         """(n,) marks vertices whose straight way from x (n, 3), at the time `began`, to `moved`, at `ended`, enters an
-        obstacle and ends elsewhere on it: where the normal is another (see contact.crossing)."""
+        obstacle and ends on another side of it: where the normal is another (see contact.crossing)."""
         found = np.zeros(len(x), dtype=bool)
         with self.timed():
             for k in range(len(self.obstacles)):
@@ -89,7 +88,7 @@ class Contact(NaturalMap):
         entry = entries(begin[going], end[going], gap, obstacle.finest, self.touch)
         entered = entry.any(axis=1)
         normal = obstacle.derivatives_on_way(end[going[entered]], replace(start, rows=going[entered]))[1]
-        turned = np.einsum("pi,pi->p", normal, entry[entered]) < TURNED
+        turned = np.einsum("pi,pi->p", normal, entry[entered]) < obstacle.turned
         found: Ints = going[entered][turned]
         return found
 

@@ -33,6 +33,7 @@ class Obstacle:
 
     shape: ClassVar[str]
     flat: ClassVar[bool] = False  # its normals are all the same
+    turned: ClassVar[float] = 0.5  # cosine of the turn between normals of different sides
     name: str = "obstacle"
     friction: float = 0.0
     restitution: float = 0.0

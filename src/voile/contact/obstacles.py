@@ -237,6 +237,7 @@ def _ellipsoid_foot(p: Reals, radii: Reals) -> Reals:
 class Box(Obstacle, shape="box"):
     """Edges along x, y, z; outside, surfaces at a distance are rounded at the edges."""
 
+    turned = -0.5  # however short, a way round an edge turns by a right angle
     center: Reals = key(vector("m"), "centre")
     sizes: Reals = key(vector("m", above=0), "half edges along x, y, z")
 

@@ -20,7 +20,7 @@ from voile.problem.problem import Problem
 from voile.problem.shell import Shell, seam_gaps
 
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
-TOUCHING = 1e-3  # sizes of the shell: how deep a way may lead into an obstacle
+DEEP = 0.01  # sizes of the shell: how deep the way of a step may lead into an obstacle
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
@@ -214,9 +214,7 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> d
     return dict(zip(("friction", "impact", "obstacles", "total"), problem.comm.allreduce(found), strict=True))
 
 
-def leads_through(
-    problem: Problem, before: Reals, began: float, after: Reals, touching: float = TOUCHING
-) -> bool:
+def leads_through(problem: Problem, before: Reals, began: float, after: Reals, touching: float) -> bool:
     """Whether the straight way from positions `before` (n, 3), at the load factor `began`, to those `after`, at the
     present one, leads a vertex through an obstacle, deeper than `touching` (sizes of the shell)."""
     farthest = problem.in_sizes(np.linalg.norm(after - before, axis=1))
@@ -225,6 +223,15 @@ def leads_through(
         before, began, after, problem.time, shares, problem.size(), touching
     )
     return not problem.everywhere(not inside.any())
+
+
+def passes_through(problem: Problem, before: Reals, began: float, after: Reals) -> bool:
+    """The same of a step that may be taken: it leads a vertex deep into an obstacle, or in on one side and out on
+    another, for there are thinner ones."""
+    if leads_through(problem, before, began, after, DEEP):
+        return True
+    crosses = contact_of(problem).crosses(before, began, after, problem.time)
+    return not problem.everywhere(not crosses.any())
 
 
 def pushed_vertices(problem: Problem, x: Reals) -> Flags:

@@ -81,10 +81,11 @@ class Solver:
         later: list[Method] = [transient]
         if problem.held:  # or else it is made again in such steps
             later = [self.watched, transient]
+        fine = later[0]
         if problem.supported:  # what nothing holds has no least potential
             later = [AugmentedLagrangian(descent, self.semismooth, off), *later]
         if options.first == "newton":
-            first, nested = self._nested(first, transient, options)
+            first, nested = self._nested(first, fine, options)
             near = [first, *nested, tied]
             if not contact.itself and (problem.moves or contact.moves):
                 # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.

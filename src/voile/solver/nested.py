@@ -93,7 +93,8 @@ class Nested:
         if problem.energies(y)["bending"] > before - coarse.energy(z):
             return Outcome(False, "nested", "a shape of a level costs more bending than it gained there")
         outcome = self.fine.solve(problem, y, tolerance)
-        return replace(outcome, method=f"nested {outcome.method}")
+        watched = outcome.watched and found.watched
+        return replace(outcome, method=f"nested {outcome.method}", watched=watched)
 
     def promises(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> bool:
         """Whether the first method converges on the coarsest level; it does where there is none."""

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from voile.arrays import Reals
 from voile.problem.augmented import AugmentedContact
-from voile.problem.contact import contact_of, leads_through
+from voile.problem.contact import DEEP, contact_of, passes_through
 from voile.problem.imperfection import perturb
 from voile.problem.inertia import Inertia
 from voile.problem.problem import Problem
@@ -46,8 +46,7 @@ class Options:
     take half as many iterations as with 0.1. sharpest: over the loads, no step needs less, and differences of the
     potential drown in round-off there. near: inertia over the loads under which the semismooth method is tried,
     and again when it fell to a third. blurred: of the tolerance, beyond which the round-off of large unknowns makes
-    them be counted anew. astray: sizes of the shell; a watched step may not lead deeper into an obstacle: rough steps
-    lie a little inside. longest_pause: steps at most until a length that was refused is tried again.
+    them be counted anew. longest_pause: steps at most until a length that was refused is tried again.
     """
 
     steps: int = 300
@@ -64,7 +63,6 @@ class Options:
     sharpest: float = 1e-5
     near: float = 1e-3
     blurred: float = 0.1
-    astray: float = 0.01
     longest_pause: int = 4
 
 
@@ -109,13 +107,10 @@ class WatchedTransient(PseudoTransient):
 
     def admits(self, problem: Problem, before: State, y: PETSc.Vec) -> bool:
         was, now, here = problem.positions(problem.unknowns_of(before)), problem.time, problem.positions(y)
-        if leads_through(problem, was, now, here, self.options.astray):
-            return False
-        crosses = contact_of(problem).crosses(was, now, here, now)  # what is thinner than steps may sink
-        return problem.everywhere(not crosses.any())
+        return not passes_through(problem, was, now, here)
 
     def astray(self, problem: Problem) -> Callable[[PETSc.Vec], bool] | None:
-        return Astray(problem, self.options.astray)
+        return Astray(problem, DEEP)
 
 
 class _March:

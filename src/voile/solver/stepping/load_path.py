@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from petsc4py import PETSc
 
-from voile.problem.contact import contact_of, contact_report, leads_through
+from voile.problem.contact import contact_of, contact_report, passes_through
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
 from voile.problem.scales import slow_rate
@@ -267,7 +267,7 @@ class LoadPath:
         if (
             (problem.held or self.moving)
             and not watched
-            and leads_through(problem, began, control.factor, problem.positions(y))
+            and passes_through(problem, began, control.factor, problem.positions(y))
         ):
             again = self._around(start)
             done = again or replace(done, method=f"{done.method}, through an obstacle")
