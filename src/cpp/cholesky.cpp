@@ -11,7 +11,7 @@ namespace voile {
 namespace {
 
 typedef Double4 V;
-constexpr int SIDES = 3, STRIP = 4;
+constexpr int STRIP = 4;
 
 VOILE_INLINED void transpose(V m[4]) {
   const V a = __builtin_shufflevector(m[0], m[1], 0, 4, 2, 6),
@@ -23,11 +23,12 @@ VOILE_INLINED void transpose(V m[4]) {
 }
 
 // Adds what MANY strips from the i-th on make of the columns' values `own`.
-template <int MANY>
+template <int SIDES, int MANY>
 VOILE_INLINED void add(const Node& k, int i, const V* own, V* x) {
   V sum[MANY][4] = {};
   const V* strip = fours(k.panel) + (size_t)i * k.width;
-  for (int j = 0; j < k.width; ++j) {
+  const int columns = std::min(k.width, STRIP * (i + MANY));  // zeros behind them
+  for (int j = 0; j < columns; ++j) {
     const double* value = reinterpret_cast<const double*>(own + j);
     for (int s = 0; s < MANY; ++s)
       for (int side = 0; side < SIDES; ++side) sum[s][side] += strip[(size_t)s * k.width + j] * value[side];
@@ -38,19 +39,21 @@ VOILE_INLINED void add(const Node& k, int i, const V* own, V* x) {
   }
 }
 
+template <int SIDES>
 VOILE_INLINED void forward(const Node& k, V* own, V* x) {
   for (int j = 0; j < k.width; ++j) own[j] = x[k.first + j], x[k.first + j] = V{};
   int i = 0;
-  for (; i + 2 <= k.strips; i += 2) add<2>(k, i, own, x);
-  if (i < k.strips) add<1>(k, i, own, x);
+  for (; i + 2 <= k.strips; i += 2) add<SIDES, 2>(k, i, own, x);
+  if (i < k.strips) add<SIDES, 1>(k, i, own, x);
 }
 
 // What all strips make of their rows' values, (strips, SIDES), in MANY columns from the j-th on.
-template <int MANY>
+template <int SIDES, int MANY>
 VOILE_INLINED void gather(const Node& k, int j, const V* values, V* x) {
   V sum[MANY][4] = {};
-  const V* strip = fours(k.panel) + j;
-  for (int i = 0; i < k.strips; ++i, strip += k.width)
+  const int first = j / STRIP;  // zeros before
+  const V* strip = fours(k.panel) + (size_t)first * k.width + j;
+  for (int i = first; i < k.strips; ++i, strip += k.width)
     for (int c = 0; c < MANY; ++c)
       for (int side = 0; side < SIDES; ++side) sum[c][side] += strip[c] * values[SIDES * i + side];
   for (int c = 0; c < MANY; ++c) {
@@ -59,6 +62,7 @@ VOILE_INLINED void gather(const Node& k, int j, const V* values, V* x) {
   }
 }
 
+template <int SIDES>
 VOILE_INLINED void backward(const Node& k, V* values, V* x) {
   for (int i = 0; i < k.strips; ++i) {
     V rows[4];
@@ -67,13 +71,18 @@ VOILE_INLINED void backward(const Node& k, V* values, V* x) {
     for (int side = 0; side < SIDES; ++side) values[SIDES * i + side] = rows[side];
   }
   int j = 0;
-  for (; j + 4 <= k.width; j += 4) gather<4>(k, j, values, x);
-  for (; j < k.width; ++j) gather<1>(k, j, values, x);
+  for (; j + 4 <= k.width; j += 4) gather<SIDES, 4>(k, j, values, x);
+  for (; j < k.width; ++j) gather<SIDES, 1>(k, j, values, x);
 }
 
-VOILE_CLONES void sweep(const Node* nodes, int count, V* values, V* x) {
-  for (int s = 0; s < count; ++s) forward(nodes[s], values, x);
-  for (int s = count - 1; s >= 0; --s) backward(nodes[s], values, x);
+template <int SIDES>
+VOILE_INLINED void both(const std::vector<Node>& nodes, V* values, V* x) {
+  for (auto k = nodes.begin(); k != nodes.end(); ++k) forward<SIDES>(*k, values, x);
+  for (auto k = nodes.rbegin(); k != nodes.rend(); ++k) backward<SIDES>(*k, values, x);
+}
+
+VOILE_CLONES void sweep(const std::vector<Node>& nodes, int sides, V* values, V* x) {
+  sides == 1 ? both<1>(nodes, values, x) : both<3>(nodes, values, x);
 }
 
 }  // namespace
@@ -105,7 +114,7 @@ Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const 
       for (int j = 0; j < f.width; ++j)
         for (int r = i; r < i + STRIP; ++r)
           panel.push_back(r < f.height ? front[r + (size_t)j * f.height] : 0.0);
-    most = std::max({most, (size_t)SIDES * strips, (size_t)f.width});
+    most = std::max({most, 3 * (size_t)strips, (size_t)f.width});
   }
   const double* next = panel.data();
   for (size_t s = 0; s < nodes.size(); ++s) {
@@ -120,7 +129,7 @@ void Cholesky::solve(double* b, int count) {
   const int size = this->size();
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < count; ++k) work[4 * i + k] = b[(size_t)k * size + order[i]];
-  sweep(nodes.data(), (int)nodes.size(), fours(values.data()), fours(work.data()));
+  sweep(nodes, count, fours(values.data()), fours(work.data()));
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < count; ++k) b[(size_t)k * size + order[i]] = work[4 * i + k];
 }

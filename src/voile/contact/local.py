@@ -208,9 +208,11 @@ class LocalLaws:
         friction = reaction - normal[:, None] * found.normal
         for k in range(len(contact.partners)):
             rows = found.partner == k
-            values = np.column_stack([normal[rows] / found.length[rows], friction[rows]])
             gathered = contact.itself if k < len(contact.obstacles) else None
-            total = np.zeros((self.count if gathered else len(contact.history.normal[k]), 4))
-            total[found.row[rows]] = values
-            total = gathered.restrict(total) if gathered else total
-            contact.history.normal[k], contact.history.friction[k] = total[:, 0].copy(), total[:, 1:].copy()
+            count = self.count if gathered else len(contact.history.normal[k])
+            parts = np.zeros(count), np.zeros((count, 3))
+            for part, values in zip(parts, (normal / found.length, friction), strict=True):
+                part[found.row[rows]] = values[rows]
+            if gathered:
+                parts = gathered.restrict(parts[0]), gathered.restrict(parts[1])
+            contact.history.normal[k], contact.history.friction[k] = parts

@@ -1,6 +1,7 @@
 """Inertia of one implicit step in time, and the forces on it from before."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,8 +30,13 @@ class Inertia(Term):
         found = np.zeros(len(at.u) + len(at.phi))
         at_vertices = found[: len(at.u)].reshape(-1, 3)
         np.subtract(self.predicted, at.positions, out=at_vertices)
-        at_vertices *= self.coefficient * self.mass[:, None]
+        at_vertices *= self._firmness
         return found
+
+    @cached_property
+    def _firmness(self) -> Reals:
+        """(local vertices, 3) N/m."""
+        return self.coefficient * np.repeat(self.mass[:, None], 3, axis=1)
 
     def blocks(self, at: Point, which: Hessian) -> Blocks:
         yield mass_blocks(self.mass, self.coefficient)
