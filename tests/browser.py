@@ -4,11 +4,13 @@ import base64
 import io
 import json
 import os
+import re
 import select
 import shutil
 import subprocess
 import tempfile
 import time
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +160,19 @@ class Browser:
         clip = {"x": x, "y": y, "width": width, "height": height, "scale": 1}
         shot = self.tell("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)["data"]
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(shot))).convert("RGB")).astype(int)
+
+
+def coloured(picture):
+    """Share of the picture that has colours of its own, not greys."""
+    return (np.ptp(picture, axis=2) > 30).mean()
+
+
+def change(before, after):
+    return np.abs(before - after).mean()
+
+
+def meta_of(page):
+    """What a page's script reads; the page fetches nothing."""
+    text = page.read_text()
+    assert not re.search(r"(src|href)=[^#]{2}", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+    return json.loads(unescape(re.search(r'id="page-data">(.*?)</script>', text, re.DOTALL)[1]))

@@ -4,13 +4,12 @@ import json
 import re
 import shutil
 import subprocess
-from html import unescape
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
-from browser import Browser
+from browser import Browser, change, coloured, meta_of
 from mpi4py import MPI
 from PIL import Image
 from test_film import FLAT, TRIANGLES, write
@@ -57,15 +56,6 @@ def page(browser, run):
     browser.open(run / "report.html")
     yield browser
     assert browser.problems == []
-
-
-def coloured(picture):
-    """Share of the picture that has colours of its own, not greys."""
-    return (np.ptp(picture, axis=2) > 30).mean()
-
-
-def change(before, after):
-    return np.abs(before - after).mean()
 
 
 def test_a_page_opens_by_itself(page, run, capsys):
@@ -175,6 +165,22 @@ def test_it_turns(page):
     assert change(before, page.picture("#stage")) < 0.1
 
 
+def test_it_draws_again_where_graphics_start_anew(page):
+    """A lost WebGL context left the view blank for good."""
+    before = page.picture("#stage")
+    lost = "new Promise(done => { const canvas = document.getElementById('canvas'); %s; })"
+    events = "canvas.addEventListener('webglcontext%s', () => done(1), { once: true })"
+    extension = "window.lost = canvas.getContext('webgl2').getExtension('WEBGL_lose_context')"
+    page.value(lost % f"{extension}; {events % 'lost'}; window.lost.loseContext()")
+    page.drawn()
+    assert change(before, page.picture("#stage")) > 2
+    page.value(lost % f"{events % 'restored'}; window.lost.restoreContext()")
+    page.drawn()
+    assert change(before, page.picture("#stage")) < 0.1
+    assert all("THREE.WebGLRenderer: Context" in told for told in page.problems)
+    page.problems.clear()
+
+
 def test_it_slides(page):
     """The slider moves shape, obstacle, label and the plots' cursor, by the keyboard too."""
     last, at = page.picture("#stage"), page.value("document.getElementById('cursor').offsetLeft")
@@ -273,12 +279,6 @@ def test_a_page_without_a_summary(browser, tmp_path):
     assert "the run has not ended" in text and "Plots" not in text
     assert browser.value("document.getElementById('step').hidden") and browser.problems == []
     writer.close()
-
-
-def meta_of(page):
-    text = page.read_text()
-    assert not re.search(r"(src|href)=[^#]{2}", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
-    return json.loads(unescape(re.search(r'id="page-data">(.*?)</script>', text, re.DOTALL)[1]))
 
 
 def wavy(folder, size, steps):

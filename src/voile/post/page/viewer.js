@@ -215,7 +215,6 @@ class Viewer {
     this.fields = new Map(meta.fields.map((field) => [field.name, field]));
     this.maps = Object.fromEntries(Object.entries(meta.maps).map(([name, hexes]) => [name, mapTexture(hexes, name !== "contact")]));
     const renderer = new THREE.WebGLRenderer({ canvas: element("canvas"), antialias: true, preserveDrawingBuffer: true });
-    renderer.setClearColor(0xffffff);
     renderer.outputColorSpace = "srgb-linear"; // colours are shown as they are given
     this.renderer = renderer;
     this.scene = new THREE.Scene();
@@ -233,6 +232,8 @@ class Viewer {
     this.controls = new THREE.OrbitControls(this.camera, element("canvas"));
     this.controls.addEventListener("change", () => this.draw());
     this.controls.listenToKeyEvents(element("canvas"));
+    // A graphics driver that starts anew, as where a machine wakes, forgets what it has drawn.
+    element("canvas").addEventListener("webglcontextrestored", () => this.draw());
   }
 
   addBody(body) {
@@ -329,6 +330,7 @@ class Viewer {
   draw() {
     this.wanted ??= requestAnimationFrame(() => {
       this.wanted = null;
+      this.renderer.setClearColor(0xffffff); // a new context has another one
       this.renderer.render(this.scene, this.camera);
     });
   }
