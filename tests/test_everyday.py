@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,18 +71,20 @@ def test_a_hinge_that_snaps_through_flat_is_told_from_one_that_turns_over():
 
 
 def test_a_run_without_end_is_killed(tmp_path):
-    python = [sys.executable, "-c"]
-    done = run([*python, "while True: pass"], tmp_path, 1.0)
-    assert done.code is None and 0.5 < done.cpu_s < 1.5
-    done = run(
-        [*python, "import subprocess; print('said', flush=True); subprocess.run(['sleep', '60'])"],
-        tmp_path,
-        1.0,
-        2.0,
-    )
-    assert done.code is None and done.said == "said\n" and 2.0 <= done.seconds < 10.0
-    done = run([*python, "print('said'); exit(3)"], tmp_path, 10.0)
-    assert done.code == 3 and done.said == "said\n" and done.memory_mib > 1.0
+    """All three at once, for most of their time is waiting."""
+    waits = "import subprocess; print('said', flush=True); subprocess.run(['sleep', '60'])"
+    runs = (("while True: pass", 1.0), (waits, 1.0, 2.0), ("print('said'); exit(3)", 10.0))
+
+    def start(k):
+        (tmp_path / str(k)).mkdir()
+        program, *limits = runs[k]
+        return run([sys.executable, "-c", program], tmp_path / str(k), *limits)
+
+    with ThreadPoolExecutor() as pool:
+        turns, sleeps, ends = pool.map(start, range(3))
+    assert turns.code is None and 0.5 < turns.cpu_s < 1.5
+    assert sleeps.code is None and sleeps.said == "said\n" and 2.0 <= sleeps.seconds < 10.0
+    assert ends.code == 3 and ends.said == "said\n" and ends.memory_mib > 1.0
 
 
 def test_faults_are_found():
