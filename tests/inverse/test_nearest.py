@@ -76,6 +76,24 @@ def steepest(moves, gradient):
     return moves.move(s[:, 0], moves._answer(s)[:, 0])
 
 
+def test_moves_are_found_at_once_as_one_by_one():
+    """Along a gradient, those of a matrix, and the least one: columns of one block, each group a vector."""
+    beside, place, move = neighbours("average")
+    slopes, f = beside.slopes(place), beside.load_slope(place)
+    beside.linearise(place)
+    moves, none = beside.moves, f.duplicate()
+    none.set(0.0)
+    pull = moves.still()
+    pull.s.axpy(1.0, moves.weigh(move.s))
+    tangent, least = moves.tangent(pull, slopes, f)
+    alone = moves.least_move(f)
+    for one, other in ((least.s, alone.s), (least.z, alone.z)):
+        assert (one - other).norm() < 1e-9 * other.norm() > 0.0
+    again, still = moves.tangent(pull, slopes, none)
+    assert moves.length(still) == 0.0
+    np.testing.assert_allclose(again.form, tangent.form, atol=1e-9 * np.abs(tangent.form).max())
+
+
 @pytest.mark.parametrize("kind", ["average", "tan", "contact"])
 def test_moves_and_slopes_are_those_of_the_equilibria(kind):
     beside, place, move = neighbours(kind)

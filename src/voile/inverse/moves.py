@@ -149,37 +149,45 @@ class Moves:
         gradient[~self.free] = 0.0
         return gradient
 
-    def tangent(self, pull: Move, slopes: Slopes) -> Tangent:
-        """The moves along a gradient and those of a matrix, each about the steepest for its length."""
-        gradients, weight = [pull, *slopes.values()], np.array([1.0 if i == j else 2.0 for i, j in slopes])
-        slope, comm = self._reduced(*_stacked(gradients)), self.problem.comm
-        parts = [self._descend(slope[:, :1], np.ones(1)), self._descend(slope[:, 1:], weight)]
-        s, z = (np.hstack(pair) for pair in zip(*parts, strict=True))
+    def tangent(self, pull: Move, slopes: Slopes, residual: PETSc.Vec) -> tuple[Tangent, Move]:
+        """The moves along a gradient and those of a matrix, each about the steepest for its length; about the shortest
+        move that takes away a residual (N)."""
+        alone, comm, last = self._alone(residual), self.problem.comm, 1 + len(slopes)
+        slope = self._reduced(*_stacked([pull, *slopes.values(), self._beside(alone)]))
+        weight = np.zeros((last + 1, 3))
+        weight[0, 0] = weight[last, 2] = 1.0
+        weight[1:last, 1] = [1.0 if i == j else 2.0 for i, j in slopes]
+        s, z = self._descend(slope, weight)
+        least = self.move(s[:, last], alone + z[:, last])
+        slope, s, z = slope[:, :last], s[:, :last], z[:, :last]
         near = products(s, times(self.metric, s), comm)
         gram = near + products(z, times(self.rest_metric, z), comm)
         basis = orthonormal(0.5 * (gram + gram.T))
-        return Tangent(s @ basis, z @ basis, basis.T @ products(s, slope, comm), basis.T @ near @ basis)
+        form = basis.T @ near @ basis
+        return Tangent(s @ basis, z @ basis, basis.T @ products(s, slope, comm), form), least
 
     def _descend(self, left: Reals, weight: Reals) -> tuple[Reals, Reals]:
-        """Moves (own, p) of about the least length but for gradients (own, p) by ds: conjugate gradients on all columns
-        as one vector, squares by weight (p,), preconditioned by the metric of displacements. The moves are linear in
-        the gradients: they do not depend on how modes of one eigenvalue are told apart."""
-        comm, before = self.problem.comm, math.inf
+        """Moves (own, p) of about the least length but for gradients (own, p) by ds: conjugate gradients on groups of
+        columns, each one vector, squares by weight (p, groups), preconditioned by the metric of displacements. The
+        moves are linear in the gradients: they do not depend on how modes of one eigenvalue are told apart. All groups
+        go on at once: a factor is read as often for many columns as for one."""
+        comm, before, group = self.problem.comm, np.full(weight.shape[1], math.inf), weight.argmax(axis=1)
         s, z, ahead = np.zeros_like(left), np.zeros_like(left), np.zeros_like(left)
         for _ in range(DESCENTS):
             steep = self.metric_solver.solutions(left)
-            now = comm.allreduce(float(np.einsum("ij,ij->j", left, steep) @ weight))
-            ahead = steep + now / before * ahead
+            now = comm.allreduce(np.einsum("ij,ij->j", left, steep) @ weight)
+            ahead = steep + (now / before)[group] * ahead
             across = self._answer(ahead)
             bent = times(self.metric, ahead) - self._reduced(
                 np.zeros_like(ahead), -times(self.rest_metric, across)
             )
-            length = now / max(comm.allreduce(float(np.einsum("ij,ij->j", ahead, bent) @ weight)), 1e-300)
+            curved = comm.allreduce(np.einsum("ij,ij->j", ahead, bent) @ weight)
+            length = (now / np.maximum(curved, 1e-300))[group]
             s, z, left, before = (
                 s + length * ahead,
                 z + length * across,
                 left - length * bent,
-                max(now, 1e-300),
+                np.maximum(now, 1e-300),
             )
         return s, z
 
@@ -191,10 +199,20 @@ class Moves:
 
     def least_move(self, residual: PETSc.Vec) -> Move:
         """About the shortest move that takes away a residual (N)."""
-        alone = self.solver.solutions(residual.array_r[:, None].copy())
-        left = -self._reduced(np.zeros_like(alone), times(self.rest_metric, alone))
-        s, z = self._descend(left, np.ones(1))
-        return self.move(s[:, 0], alone[:, 0] + z[:, 0])
+        alone = self._alone(residual)
+        s, z = self._descend(self._reduced(*_stacked([self._beside(alone)])), np.ones((1, 1)))
+        return self.move(s[:, 0], alone + z[:, 0])
+
+    def _alone(self, residual: PETSc.Vec) -> Reals:
+        """(own,) the rest shape's move that takes away a residual by itself."""
+        return self.solver.solutions(residual.array_r[:, None])[:, 0]
+
+    def _beside(self, z: Reals) -> Move:
+        """The gradient of what moves may spare of the length of dz (own,)."""
+        alone, spared = self.problem.create_vector(), self.still()
+        alone.array[:] = -z
+        self.rest_metric.mult(alone, spared.z)
+        return spared
 
 
 def _stacked(gradients: list[Move]) -> tuple[Reals, Reals]:

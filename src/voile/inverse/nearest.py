@@ -163,11 +163,9 @@ class Nearest:
             return None
         slopes, cut = near.slopes(point), near.cut
         pull = Move(near.moves.weigh(point.s), self.problem.create_vector())
-        tangent, loaded = near.moves.tangent(pull, slopes), near.moves.still()
-        if way[0]:
-            force = near.load_slope(point)
-            force.scale(-way[0])
-            loaded = near.moves.least_move(force)
+        force = near.load_slope(point) if way[0] else self.problem.create_vector()
+        force.scale(-way[0])
+        tangent, loaded = near.moves.tangent(pull, slopes, force)
         rows, columns = np.array(list(slopes)).T
         turn, ahead = np.zeros((tangent.s.shape[1], k, k)), np.zeros((k, k))
         turn[:, rows, columns] = turn[:, columns, rows] = tangent.slopes[:, 1:]
