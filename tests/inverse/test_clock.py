@@ -19,6 +19,7 @@ from voile.inverse.target import Target
 from voile.inverse.verify import TIMED_OUT, settles_within, simulate
 from voile.problem.lifetime import Clock, TimeIsOver, until
 from voile.problem.problem import Problem
+from voile.solver.path import Path
 
 
 @pytest.fixture
@@ -62,6 +63,20 @@ def test_a_simulation_that_is_given_up_leaves_the_target_where_it_is(monkeypatch
     monkeypatch.setattr("voile.inverse.verify.solve_statics", moves_and_gives_up)
     assert not settles_within(target, own, 1e-8, 1e-3)
     np.testing.assert_array_equal(problem.positions(own), target.x)
+
+
+def test_a_target_let_go_is_judged_by_the_full_load(monkeypatch):
+    strip = heavy_strip(24.0, cells=20)[0]
+    target = Target(Problem(strip, MPI.COMM_SELF), strip, [], 0.5e-3, 1e-3)
+    asked = []
+
+    def sees(problem, options, *, start):
+        asked.append((options.load_steps, options.max_steps))
+        return Path(start.copy())
+
+    monkeypatch.setattr("voile.inverse.verify.solve_statics", sees)
+    assert not settles_within(target, target.problem.create_vector(), 1e-8, 1e-3)
+    assert asked == [(1, 1)]
 
 
 @pytest.mark.parametrize("runs", [0, 1])

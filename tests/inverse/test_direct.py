@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from inverse_shells import folded_skirt, hanging_sheet, panels, shell, strip
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from voile.arrays import triangle_areas
 from voile.contact.obstacles import Cylinder, Motion, Plane
 from voile.errors import NotConverged
-from voile.inverse.direct import Direct
+from voile.inverse.direct import NARROWEST, Direct
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, solve_inverse
 from voile.inverse.target import Target
@@ -92,6 +93,22 @@ def test_the_target_is_reached_from_an_equilibrium_beside_it():
     found = direct.home(state, beside)
     assert found and found.converged and direct.moved.norm() == 0.0
     assert (found.rest - exact.rest).norm() < 1e-6 * exact.rest.norm()
+
+
+def test_a_way_home_that_is_none_is_told_by_its_first_step(monkeypatch):
+    """Seven halvings took 10 s of a T-shirt's search."""
+    shape = folded_skirt(young=3e7)
+    target = Target(Problem(shape, MPI.COMM_SELF), shape, [], 0.5e-3, 1e-3)
+    direct, ahead = Direct(target), []
+    state = direct.state(target.problem.create_vector()) + 1.0
+
+    def none(*_):
+        ahead.append(direct.moved.norm(PETSc.NormType.INFINITY))
+        return "none", 1.0, 40
+
+    monkeypatch.setattr(direct, "solve", none)
+    assert direct.home(state, target.problem.create_vector()) is None
+    assert ahead == [0.0, pytest.approx(1.0 - NARROWEST)]
 
 
 def test_without_loads_the_target_is_its_own_rest_shape():

@@ -14,6 +14,8 @@ from test_adjoint import wave
 from test_direct import heavy_strip, rod, solve
 
 from voile.inverse.direct import Direct
+from voile.inverse.journal import Journal
+from voile.inverse.nearest import Nearest
 from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.result import inverse_report
 from voile.inverse.solve import InverseOptions, Told, _nearer, solve_inverse
@@ -219,6 +221,40 @@ def test_a_column_that_cannot_stand_leans_as_little_as_it_can():
     assert wide.nearest is not None and wide.nearest.sag > 4.0 * result.nearest.sag
     # margins are halved: by round-off the least is one or two halvings more or less
     assert wide.eigenvalue > 5.0 * result.eigenvalue
+
+
+def confirmed(ends, weights=(1.0,), sags=(1e-2,)):
+    """What `confirm` gives, of points 0, 1, ... of rising margins whose simulations end so far from the target, and
+    which point it goes nearer from; weights of the rest shape's moves with which each was found."""
+    search, from_point = Nearest.__new__(Nearest), []
+    points = [SimpleNamespace(z=k, s=SimpleNamespace(dot=lambda _: 1.0), margin=2.0**k) for k in range(9)]
+    moves = SimpleNamespace(weight=weights[0], loosen=lambda: False, weigh=lambda s: s)
+    search.neighbours = SimpleNamespace(moves=moves, polish=lambda _: None)
+    search.clock, search.journal, search.radius = SimpleNamespace(over=lambda: False), Journal(), 1.0
+    search.first, search._sag = 1.0, lambda point: sags[min(point.z, len(sags) - 1)]
+
+    def with_margin(margin, found):
+        moves.weight = weights[min(found.z + 1, len(weights) - 1)]
+        return points[found.z + 1], found.z + 1 < len(ends)
+
+    def advance(point, *_):
+        from_point.append(point.z)
+        return point, True
+
+    search._with, search.advance = with_margin, advance
+    return search.confirm(points[0], lambda z, limit: ends[z]).z, from_point
+
+
+def test_margins_are_doubled_as_long_as_simulations_end_nearer():
+    assert confirmed([0.3, 0.2, 0.1, 0.005]) == (3, [])
+    assert confirmed([0.3, 0.31, 0.1, 0.005]) == (0, [0])
+    assert confirmed([np.inf, 0.2, 0.005])[0] == 2
+
+
+@pytest.mark.parametrize(("weights", "nearer"), [((1.0, 0.01), [0]), ((0.01, 0.01), [])])
+def test_an_answer_found_by_stiff_moves_is_brought_nearer(weights, nearer):
+    """Though the search for a firmer one has loosened them since: a T-shirt's lay at 0.009 sizes for 0.005."""
+    assert confirmed([0.3], weights) == (0, nearer)
 
 
 def test_an_answer_is_nearer_than_the_target_as_its_own_rest_shape():

@@ -149,7 +149,8 @@ class Direct:
             ahead, trial = max(left - step, 0.0), z.copy()
             self.moved.scale(ahead)
             if self.solve(trial, 1.0)[0] or not self.stable(trial):
-                step *= 0.5
+                # What is too far at once mostly is so in parts, too: the least one tells it first.
+                step = NARROWEST if step == 1.0 else 0.5 * step
                 continue
             z, left, step = trial, ahead, 2.0 * step
         self.moved.set(0.0)

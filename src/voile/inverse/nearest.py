@@ -23,10 +23,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
+from voile.inverse.adjoint import NEAR
 from voile.inverse.direct import Direct, DirectPath
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_search, unpacked_search
-from voile.inverse.moves import Move
+from voile.inverse.moves import LEAST_WEIGHT, Move
 from voile.inverse.nearest_path import Local, NearestPath, NearestStep, Trial
 from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.spectral import Model, barrier
@@ -57,7 +58,9 @@ PRECISE = 1e-5  # residual over the loads' norm, on the way
 
 
 Progress = Callable[[NearestStep], None]
-Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
+# How far from the target (sizes) simulations of a rest shape end; inf where there is no stable end. Beyond a limit one
+# is enough.
+Ends = Callable[[PETSc.Vec, float], float]
 
 
 class Nearest:
@@ -248,26 +251,32 @@ class Nearest:
             point, reached = self.advance(point, 1.0, 0.5 * point.margin)
         return point, reached
 
-    def confirm(self, first: Checkpoint, stays: Stays) -> Checkpoint:
-        """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
+    def confirm(self, first: Checkpoint, ends: Ends) -> Checkpoint:
+        """The point of least margin, half by half, that stays, or the first firmer one, as long as simulations of
+        firmer ones end nearer to the target; this one where none does."""
+        weight = self.neighbours.moves.weight  # with which it was found
 
-        def firm(point: Checkpoint) -> bool:
+        def firm(point: Checkpoint) -> tuple[bool, float]:
             self.neighbours.polish(point)
-            return self.journal.flag(lambda: stays(point.z, self._sag(point)))
+            end = self.journal.figure(lambda: ends(point.z, NEAR * self._sag(point)))
+            return end <= NEAR * self._sag(point), end
 
         if self.clock.over():
             return first
-        found, holds = first, firm(first)
+        found, (holds, end) = first, firm(first)
         for factor in LESS if holds else MORE:
             if holds and self._sag(found) <= SLIGHT:
                 break
             trial, reached = self._with(factor * found.margin, found)
             if not reached or self.clock.over() or (holds and self._sag(trial) > IDLE * self._sag(found)):
                 break
-            if firm(trial) != holds:
+            there, before = firm(trial), end
+            if there[0] != holds:
                 return found if holds else trial
-            found = trial
-        return found if holds else self.nearer(first)
+            found, end = trial, there[1]
+            if not (holds or end < before):
+                break
+        return found if holds else self.nearer(first, weight)
 
     def _with(self, margin: float, found: Checkpoint) -> tuple[Checkpoint, bool]:
         """From a point to the nearest one with another margin and True, or to where it was given up: after a third of
@@ -281,10 +290,10 @@ class Nearest:
         self.budget += EXTRA - TRIED
         return self.advance(trial, 1.0, margin)
 
-    def nearer(self, point: Checkpoint) -> Checkpoint:
+    def nearer(self, point: Checkpoint, weight: float) -> Checkpoint:
         """From a point that simulations leave, with whatever margin: the nearest that steps find which count the rest
-        shape's moves the least."""
-        if not self.neighbours.moves.loosen():  # the way has led along those
+        shape's moves the least; weight: with which it was found."""
+        if weight <= LEAST_WEIGHT:  # the way has led along those
             return point
         while self.neighbours.moves.loosen():
             pass
@@ -327,13 +336,13 @@ def approach(
     target: Target,
     path: DirectPath,
     margin: float,
-    stays: Stays,
+    ends: Ends,
     on_step: Progress | None = None,
     journal: Journal | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
-    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. When the
+    from that of the way, at which simulations from the target end there, as `ends` tells. When the
     target's clock is over it ends with the last stable shape. None where the full load is not reached before
     that, or nothing is free to move."""
     clock, stable = target.clock, list[tuple[Nearest, Checkpoint]]()
@@ -345,7 +354,7 @@ def approach(
         point, reached = search.reach(path, first * search.neighbours.slow)
         if reached:
             point = search.settled(point, margin * search.neighbours.slow or point.margin)
-            return search.outcome(point if margin else search.confirm(point, stays))
+            return search.outcome(point if margin else search.confirm(point, ends))
         if len(point.values):
             stable.append((search, point))
         if clock.over() and stable:
