@@ -149,7 +149,7 @@ def test_a_scene_with_frames(scene, tmp_path, capsys):
     assert main(run) == 2 and "2 frames, the last body_001.obj, last to 0.1 s" in capsys.readouterr().err
     assert (
         main([*run, "--set", "obstacle.0.file=body_000.obj"]) == 2
-        and "not together" in capsys.readouterr().err
+        and "obstacle.0.frames: not together with file" in capsys.readouterr().err
     )
     alone = 'obstacle.0={shape="mesh", file="body_000.obj", frame_time=0.1}'
     assert main([*run, "--set", alone]) == 2 and "allowed with frames only" in capsys.readouterr().err

@@ -342,9 +342,10 @@ class MeshBody(DistanceField, Obstacle, shape="mesh"):
 
     @classmethod
     def check(cls, table: Any) -> None:
-        if (table.file is None) == (table.frames is None):
-            problem = 'shape = "mesh" needs file' if table.file is None else "not together with file"
-            raise Rejected(f'the key "file" is missing; {problem}' if table.file is None else problem, ())
+        if table.file is None and table.frames is None:
+            raise Rejected('the key "file" is missing; shape = "mesh" needs file, or frames', ())
+        if table.file and table.frames:
+            raise Rejected("not together with file", ("frames",))
         if table.frames and table.frame_time is None:
             raise Rejected('the key "frame_time" is missing; frames need it')
         if table.frame_time and not table.frames:
