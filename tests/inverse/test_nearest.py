@@ -78,6 +78,37 @@ def steepest(moves, gradient):
     return moves.move(s[:, 0], moves._answer(s)[:, 0])
 
 
+def test_more_modes_are_told_where_a_way_ends():
+    beside, place, _ = neighbours("average")
+    lowest, second = place.values[:2]
+    beside.cut = 0.5 * (lowest + second)
+    assert beside.settle(place) and len(place.modes) == 1
+    assert beside.tell_more(place) and len(place.modes) > 1
+    assert place.values[1] == pytest.approx(second, rel=1e-6) and place.values[-1] < beside.cut
+
+
+def test_a_way_that_ends_goes_on_with_more_modes_and_then_with_less_margin():
+    search, asked = Nearest.__new__(Nearest), []
+    search.problem = SimpleNamespace(create_vector=lambda: None)
+
+    def told(_):
+        asked.append("more modes")
+        return True
+
+    search.neighbours = SimpleNamespace(
+        linearise=lambda _: True, settle=lambda _: True, tell_more=told, slow=1.0
+    )
+    search.clock, search.budget = SimpleNamespace(over=lambda: False), 1
+
+    def advance(point, fraction, margin):
+        asked.append(margin)
+        return replace(point, margin=min(margin, 4.0)), margin == 1.0
+
+    search.advance = advance
+    path = SimpleNamespace(rest=SimpleNamespace(copy=lambda: None), fraction=0.5)
+    assert search.reach(path, 8.0)[1] and asked == [8.0, "more modes", 4.0, 2.0, 1.0]
+
+
 def test_moves_are_found_at_once_as_one_by_one():
     """Along a gradient, those of a matrix, and the least one: columns of one block, each group a vector."""
     beside, place, move = neighbours("average")

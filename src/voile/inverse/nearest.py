@@ -242,11 +242,14 @@ class Nearest:
         return found
 
     def reach(self, path: DirectPath, margin: float) -> tuple[Checkpoint, bool]:
-        """`advance` from where the direct method stopped to the full load, with less margin where the way ends."""
+        """`advance` from where the direct method stopped to the full load. Where the way ends more modes are told, and
+        the margin rises no more; where it ends again there is less margin."""
         point = Checkpoint(self.problem.create_vector(), path.rest.copy(), path.fraction, 0.0)
         if not (self.neighbours.linearise(point) and self.neighbours.settle(point)):
             return point, False
         point, reached = self.advance(point, 1.0, margin)
+        if not reached and self._goes_on() and self.neighbours.tell_more(point):
+            point, reached = self.advance(point, 1.0, point.margin)
         while not reached and point.margin >= 2.0 * LEAST_MARGIN * self.neighbours.slow and self._goes_on():
             point, reached = self.advance(point, 1.0, 0.5 * point.margin)
         return point, reached
