@@ -81,7 +81,7 @@ class AugmentedLagrangian:
             potential.update(problem.point(y))
             if (found := self._finish(problem, y, tolerance)).converged:
                 return replace(found, method=self.name)
-            updates, idle = updates + 1, 0 if missed < least else idle + 1
+            updates, idle = updates + 1, 0 if missed < max(least, tolerance) else idle + 1
             least = min(missed, least)
             if missed > options.enough * before:
                 softness = min(options.hardening * potential.softness, options.stiffest)
