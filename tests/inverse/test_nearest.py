@@ -278,7 +278,8 @@ def confirmed(ends, weights=(1.0,), sags=(1e-2,)):
 
 def test_margins_are_doubled_as_long_as_simulations_end_nearer():
     assert confirmed([0.3, 0.2, 0.1, 0.005]) == (3, [])
-    assert confirmed([0.3, 0.31, 0.1, 0.005]) == (0, [0])
+    for little in (0.31, 0.29):  # a hat's four doublings took 25 s: 0.107, 0.107, 0.098, 0.096, 0.095
+        assert confirmed([0.3, little, 0.1, 0.005]) == (0, [0])
     assert confirmed([np.inf, 0.2, 0.005])[0] == 2
 
 

@@ -38,7 +38,9 @@ from voile.solver.path import Arrays
 MARGIN, LEAST_MARGIN = 8.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 4 * (2.0,)  # margins tried in turn, over the one before
 SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
-IDLE = 0.8  # of the sag: a smaller margin that leaves more wins little
+IDLE = (
+    0.8  # of the sag: a smaller margin that leaves more wins little; of where simulations end, a larger one
+)
 SHARES = 1.0, 0.002  # mu over half the squared distance, on the way and at its end
 FALL = 0.2  # of mu in a step, at the end of the way
 SMALL = 0.7, 0.01  # thicknesses: distance from the target that mu counts at least
@@ -256,7 +258,7 @@ class Nearest:
 
     def confirm(self, first: Checkpoint, ends: Ends) -> Checkpoint:
         """The point of least margin, half by half, that stays, or the first firmer one, as long as simulations of
-        firmer ones end nearer to the target; this one where none does."""
+        firmer ones end clearly nearer to the target; this one where none does."""
         weight = self.neighbours.moves.weight  # with which it was found
 
         def firm(point: Checkpoint) -> tuple[bool, float]:
@@ -277,7 +279,7 @@ class Nearest:
             if there[0] != holds:
                 return found if holds else trial
             found, end = trial, there[1]
-            if not (holds or end < before):
+            if not (holds or end < IDLE * before):
                 break
         return found if holds else self.nearer(first, weight)
 
