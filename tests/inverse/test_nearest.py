@@ -276,10 +276,10 @@ def confirmed(ends, weights=(1.0,), sags=(1e-2,)):
     return search.confirm(points[0], lambda z, limit: ends[z]).z, from_point
 
 
-def test_margins_are_doubled_as_long_as_simulations_end_nearer():
+def test_margins_are_doubled_until_simulations_end_in_the_answer():
+    """Also where those of firmer ones end no nearer, as of a skirt on a rod."""
     assert confirmed([0.3, 0.2, 0.1, 0.005]) == (3, [])
-    for little in (0.31, 0.29):  # a hat's four doublings took 25 s: 0.107, 0.107, 0.098, 0.096, 0.095
-        assert confirmed([0.3, little, 0.1, 0.005]) == (0, [0])
+    assert confirmed([0.3, 0.31, 0.3, 0.005]) == (3, [])
     assert confirmed([np.inf, 0.2, 0.005])[0] == 2
 
 

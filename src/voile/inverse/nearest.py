@@ -38,9 +38,7 @@ from voile.solver.path import Arrays
 MARGIN, LEAST_MARGIN = 8.0, 1.0  # over g/L, of the way, and where it is given up
 LESS, MORE = 6 * (0.5,), 4 * (2.0,)  # margins tried in turn, over the one before
 SLIGHT = 1e-4  # sag over the size from which less margin is not tried, nor a nearer shape
-IDLE = (
-    0.8  # of the sag: a smaller margin that leaves more wins little; of where simulations end, a larger one
-)
+IDLE = 0.8  # of the sag: a smaller margin that leaves more wins little
 SHARES = 1.0, 0.002  # mu over half the squared distance, on the way and at its end
 FALL = 0.2  # of mu in a step, at the end of the way
 SMALL = 0.7, 0.01  # thicknesses: distance from the target that mu counts at least
@@ -257,30 +255,26 @@ class Nearest:
         return point, reached
 
     def confirm(self, first: Checkpoint, ends: Ends) -> Checkpoint:
-        """The point of least margin, half by half, that stays, or the first firmer one, as long as simulations of
-        firmer ones end clearly nearer to the target; this one where none does."""
+        """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
         weight = self.neighbours.moves.weight  # with which it was found
 
-        def firm(point: Checkpoint) -> tuple[bool, float]:
+        def firm(point: Checkpoint) -> bool:
             self.neighbours.polish(point)
-            end = self.journal.figure(lambda: ends(point.z, NEAR * self._sag(point)))
-            return end <= NEAR * self._sag(point), end
+            limit = NEAR * self._sag(point)
+            return self.journal.figure(lambda: ends(point.z, limit)) <= limit
 
         if self.clock.over():
             return first
-        found, (holds, end) = first, firm(first)
+        found, holds = first, firm(first)
         for factor in LESS if holds else MORE:
             if holds and self._sag(found) <= SLIGHT:
                 break
             trial, reached = self._with(factor * found.margin, found)
             if not reached or self.clock.over() or (holds and self._sag(trial) > IDLE * self._sag(found)):
                 break
-            there, before = firm(trial), end
-            if there[0] != holds:
+            if firm(trial) != holds:
                 return found if holds else trial
-            found, end = trial, there[1]
-            if not (holds or end < IDLE * before):
-                break
+            found = trial
         return found if holds else self.nearer(first, weight)
 
     def _with(self, margin: float, found: Checkpoint) -> tuple[Checkpoint, bool]:
