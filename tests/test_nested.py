@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from everyday import sheet
 from mpi4py import MPI
+from test_descent import hanging
 from test_problem import make_shell
 
 from voile.mesh import write_obj
 from voile.problem.levels import coarsen
 from voile.problem.problem import Problem
 from voile.results import read_result
+from voile.solver.equilibrium import LEVEL, Solver
 from voile.solver.nested import STRETCH, Options, pays, softened
+from voile.solver.path import StaticsOptions
 
 FABRIC = "[shell]\nmesh = 'cloth.obj'\nyoung = 1e6\nthickness = 1e-3\ndensity = 300.0\n"
 CORNERS = "[[fix]]\nselect = { box = [[-1e-9, -1, -1e-9], [1e-9, 1, 1e-9]] }\n" + (
@@ -144,3 +147,14 @@ def test_small_meshes_are_solved_at_once():
     problem = Problem(make_shell(points, triangles), MPI.COMM_SELF)
     assert not pays(problem)
     assert pays(problem, Options(smallest=10))
+
+
+def test_descents_of_levels_are_brief():
+    """One that creeps costs more than all that the fine level could gain: see LEVEL."""
+    problem = Problem(hanging(24), MPI.COMM_SELF)
+    solver = Solver(problem, StaticsOptions(nested=True))
+    assert solver.nested and solver.nested.level
+    coarse = solver.nested.level[1]
+    assert coarse.descent.options.iterations == LEVEL < solver.descent.options.iterations
+    y = coarse.problem.create_vector()
+    assert coarse.level.solve(coarse.problem, y, 1e-4 * coarse.problem.load_norm(y)).converged
