@@ -273,7 +273,7 @@ def confirmed(ends, weights=(1.0,), sags=(1e-2,)):
         return point, True
 
     search._with, search.advance = with_margin, advance
-    return search.confirm(points[0], lambda z, limit: ends[z]).z, from_point
+    return search.confirm(points[0], lambda z, sag: ends[z] <= 2.0 * sag).z, from_point
 
 
 def test_margins_are_doubled_until_simulations_end_in_the_answer():

@@ -130,7 +130,7 @@ class Contact(NaturalMap):
     def blocks(
         self, x: Reals, t: float, convex: float, softness: float = 1.0
     ) -> Iterator[tuple[Ints, Reals]]:
-        """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m), convex: share of its negative part left out."""
+        """Hessian of `energy`, per partner (stencils, (p, 3s, 3s) N/m); convex: share of its negative part left out."""
         return self.blocks_of(self.frozen_pairs(x, t, softness), convex)
 
     def blocks_of(self, pairs: list[Pairs], convex: float) -> Iterator[tuple[Ints, Reals]]:

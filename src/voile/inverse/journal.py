@@ -39,9 +39,9 @@ class Journal:
         self._keep(dict)
         return result
 
-    def figure(self, measure: Callable[[], float]) -> float:
-        """What is measured, or was."""
-        return float(self.call(lambda _kept, _keep: {"figure": np.array(measure())})["figure"])
+    def flag(self, test: Callable[[], bool]) -> bool:
+        """What a test says, or said."""
+        return bool(self.call(lambda _kept, _keep: {"flag": np.array(test())})["flag"])
 
     def _keep(self, under_way: Callable[[], Arrays]) -> None:
         if self.on_pause:

@@ -23,7 +23,6 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Flags, Reals
-from voile.inverse.adjoint import NEAR
 from voile.inverse.direct import Direct, DirectPath
 from voile.inverse.journal import Journal, Keep
 from voile.inverse.kept import packed_search, unpacked_search
@@ -58,9 +57,7 @@ PRECISE = 1e-5  # residual over the loads' norm, on the way
 
 
 Progress = Callable[[NearestStep], None]
-# How far from the target (sizes) simulations of a rest shape end; inf where there is no stable end. Beyond a limit one
-# is enough.
-Ends = Callable[[PETSc.Vec, float], float]
+Stays = Callable[[PETSc.Vec, float], bool]  # of a rest shape and the sag of its equilibrium
 
 
 class Nearest:
@@ -254,14 +251,13 @@ class Nearest:
             point, reached = self.advance(point, 1.0, 0.5 * point.margin)
         return point, reached
 
-    def confirm(self, first: Checkpoint, ends: Ends) -> Checkpoint:
+    def confirm(self, first: Checkpoint, stays: Stays) -> Checkpoint:
         """The point of least margin, half by half, that stays, or the first firmer one; this one where none does."""
         weight = self.neighbours.moves.weight  # with which it was found
 
         def firm(point: Checkpoint) -> bool:
             self.neighbours.polish(point)
-            limit = NEAR * self._sag(point)
-            return self.journal.figure(lambda: ends(point.z, limit)) <= limit
+            return self.journal.flag(lambda: stays(point.z, self._sag(point)))
 
         if self.clock.over():
             return first
@@ -335,13 +331,13 @@ def approach(
     target: Target,
     path: DirectPath,
     margin: float,
-    ends: Ends,
+    stays: Stays,
     on_step: Progress | None = None,
     journal: Journal | None = None,
 ) -> NearestPath | None:
     """From where the direct method stopped to the nearest stable shape under the full load, with a smallest eigenvalue
     of `margin` times the weight's rate g/L, or less where the way there ends; margin 0: the least, doubled or halved
-    from that of the way, at which simulations from the target end there, as `ends` tells. When the
+    from that of the way, at which stays(rest shape, sag) says that simulations from the target end there. When the
     target's clock is over it ends with the last stable shape. None where the full load is not reached before
     that, or nothing is free to move."""
     clock, stable = target.clock, list[tuple[Nearest, Checkpoint]]()
@@ -353,7 +349,7 @@ def approach(
         point, reached = search.reach(path, first * search.neighbours.slow)
         if reached:
             point = search.settled(point, margin * search.neighbours.slow or point.margin)
-            return search.outcome(point if margin else search.confirm(point, ends))
+            return search.outcome(point if margin else search.confirm(point, stays))
         if len(point.values):
             stable.append((search, point))
         if clock.over() and stable:

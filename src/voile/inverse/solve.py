@@ -12,7 +12,7 @@ from voile.arrays import Ints, Reals
 from voile.contact.candidates import Layers
 from voile.contact.obstacles import Obstacle
 from voile.errors import NotConverged
-from voile.inverse.adjoint import AdjointPath, keep_what_is_reached, minimise
+from voile.inverse.adjoint import NEAR, AdjointPath, keep_what_is_reached, minimise
 from voile.inverse.adjoint import Progress as AdjointProgress
 from voile.inverse.developable import DevelopableRest, start_of_panels
 from voile.inverse.direct import SMALLEST, Direct, DirectPath, DirectStep
@@ -196,23 +196,17 @@ class Search:
         self.told.found(path.rest)  # the search that follows may be long
         if options.method != "adjoint":
             return None
-        found = approach(target, path, options.margin, self._ends, self.told.nearest, self.journal)
+        found = approach(target, path, options.margin, self._stays, self.told.nearest, self.journal)
         if not found:
             return None
         target.hold(found.rest)
         nearer = target.clock.over() or _nearer(target, found, self.proofs(found.rest), options.tolerance)
         return found if nearer else None
 
-    def _ends(self, rest: PETSc.Vec, limit: float) -> float:
-        """How far from the target (sizes) the simulations of a rest shape end, up to the first beyond a limit; inf for
-        one without a stable end."""
-        farthest = 0.0
-        for disturbed in (False, True):
-            run = self.proofs(rest, disturbed)
-            farthest = max(farthest, run.sag if run.stable else math.inf)
-            if farthest > limit:
-                break
-        return farthest
+    def _stays(self, rest: PETSc.Vec, sag: float) -> bool:
+        """Whether simulations of a rest shape end about so far from the target as its equilibrium lies."""
+        runs = (self.proofs(rest, disturbed) for disturbed in (False, True))
+        return all(run.stable and run.sag <= NEAR * sag for run in runs)
 
     def adjoint(self, path: DirectPath) -> AdjointPath | None:
         """The simulation nearest to the target where the direct method has no stable shape."""

@@ -22,7 +22,7 @@ from voile.results.folder import RECORD
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-FORMAT = 7  # of the arrays
+FORMAT = 6  # of the arrays
 OF = "of"  # the array that says which run a set is of
 
 
