@@ -61,7 +61,7 @@ class Ending:
 def run(command: list[str], folder: Path, limit: float, patience: float = PATIENCE) -> Run:
     """Runs a command in a folder with the environment of a user. It is killed once it has used `limit` seconds of a
     processor, with its children after `patience` times as long by the clock."""
-    ours = ("OPENBLAS_", "OMP_", "OMPI_", "PMIX_")
+    ours = ("OPENBLAS_", "OMP_", "OMPI_", "PMIX_", "PYTHONDONTWRITEBYTECODE")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
     late = threading.Event()
     with (folder / "said").open("w+") as said:

@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
     argv, debug = list(sys.argv[1:] if argv is None else argv), False
     split = argv.index("--") if "--" in argv else len(argv)
     try:
-        args = _parser().parse_args(argv[:split])
+        args = _parser(*argv[:1]).parse_args(argv[:split])
         args.petsc, debug = argv[split + 1 :], args.debug
         if process.ends and not sys.warnoptions:  # NumPy's of what is not finite, which messages tell of
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -127,14 +127,15 @@ class CommandParser(argparse.ArgumentParser):
             self._splitting = False
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(command: str = "") -> argparse.ArgumentParser:
+    """Of all commands, or of one alone where that is named first: reading them all takes 10 ms."""
     parser = argparse.ArgumentParser(prog="voile", description=DESCRIPTION)
     parser.add_argument("--debug", action="store_true", help="show where an error came from")
     names = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
-    for name, command in all_commands().items():
-        sub = names.add_parser(name, help=command.TEXT, description=command.TEXT)
-        sub.set_defaults(command=command.run)
-        command.arguments(sub)
+    for name, module in all_commands(command).items():
+        sub = names.add_parser(name, help=module.TEXT, description=module.TEXT)
+        sub.set_defaults(command=module.run)
+        module.arguments(sub)
     return parser
 
 

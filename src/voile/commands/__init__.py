@@ -9,7 +9,8 @@ from pkgutil import iter_modules
 from types import ModuleType
 
 
-def all_commands() -> dict[str, ModuleType]:
-    """Name -> module, by name. They import what they need when they run, so that `voile --help` is quick."""
+def all_commands(only: str = "") -> dict[str, ModuleType]:
+    """Name -> module, by name; where `only` is one of them, that one. They import what they need when they run, so that
+    `voile --help` is quick."""
     names = sorted(module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
-    return {name: import_module(f"{__name__}.{name}") for name in names}
+    return {name: import_module(f"{__name__}.{name}") for name in ([only] if only in names else names)}

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import compress
 from typing import Any
 
-import ipctk
 import numpy as np
 
 from voile.arrays import Flags, Ints, Reals, diagonal, triangle_sides
@@ -61,6 +60,8 @@ class Layers:
     least: Reals | None = None
 
     def __post_init__(self) -> None:
+        import ipctk
+
         ipctk.set_num_threads(1)
         ipctk.set_logger_level(ipctk.LoggerLevel.error)  # it warns of small gaps, as touching layers have
         self.triangles = np.ascontiguousarray(self.triangles, dtype=np.int32)
@@ -77,6 +78,8 @@ class Layers:
     def find(self, x: Reals, kept: Ints | None = None, further: float | None = None) -> Candidates:
         """Candidates at positions x (n, 3), up to `further` (m) from touching, with `known` ones and those of the codes
         kept (k,) in any case."""
+        import ipctk
+
         reach = self.thickness + (BAND * self.thickness if further is None else further)
         found, kept = ipctk.Candidates(), self.known if kept is None else np.union1d(kept, self.known)
         found.build(self._mesh, x, 0.5 * reach)
@@ -135,6 +138,8 @@ class Layers:
         """Share of the way from x to `moved` (n, 3) that carries no layer through another, at most 1, and no vertex
         further than the shell is large: over ways of many sizes, as of a safe step near a mechanism, IPC's search does
         not come back."""
+        import ipctk
+
         reach = diagonal(x) / max(float(lengths(moved - x).max()), 1e-300)
         if reach < 1.0:
             reach *= 0.999  # or round-off may leave the rest too long again
@@ -175,6 +180,8 @@ class Layers:
 
     def _crossing(self, x: Reals) -> Ints:
         """Vertices of edges that pass through a triangle, away from what is excluded."""
+        import ipctk
+
         apart = self.triangles[~np.isin(self.triangles, self.excluded).any(axis=1)]
         sides = np.unique(triangle_sides(apart), axis=0)
         boxes = ipctk.LBVH()

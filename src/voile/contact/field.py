@@ -8,7 +8,6 @@ number (Jacobson et al. 2013) exceeds one half, and triangles inside the union c
 
 from dataclasses import dataclass, replace
 
-import igl
 import numpy as np
 import scipy  # its parts load when they are asked for
 
@@ -183,12 +182,16 @@ def signed_distance(points: Reals, triangles: Ints, skin: Ints, p: Reals) -> Rea
 
 
 def _distances(points: Reals, skin: Ints, p: Reals) -> Reals:
+    import igl
+
     found: Reals = np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(p), points, skin)[0])
     return found
 
 
 def _sides(points: Reals, triangles: Ints, p: Reals) -> Reals:
     """(k,) -1 inside, 1 outside."""
+    import igl
+
     inside = igl.fast_winding_number(points, triangles, np.ascontiguousarray(p)) > 0.5
     return np.where(inside, -1.0, 1.0)
 
@@ -212,6 +215,8 @@ def _check_orientation(points: Reals, triangles: Ints, source: str) -> None:
 
 def check_inside(points: Reals, triangles: Ints, source: str) -> None:
     """Refuses meshes without inside, and closed pieces turned inside out even where the whole is not."""
+    import igl
+
     pieces, piece = igl.facet_components(triangles)
     corner = points[triangles]
     normal = area_vectors(points, triangles)
@@ -229,6 +234,8 @@ def check_inside(points: Reals, triangles: Ints, source: str) -> None:
 
 def _outer(points: Reals, triangles: Ints) -> Ints:
     """The triangles with outside on their outer side, at their middle or a corner: those of the union's surface."""
+    import igl
+
     corner = points[triangles]
     lifted = corner + 1e-4 * diagonal(points) * units(area_vectors(points, triangles))[:, None]
     middle = lifted.mean(axis=1, keepdims=True)
@@ -241,6 +248,8 @@ def _outer(points: Reals, triangles: Ints) -> Ints:
 def _thin(points: Reals, triangles: Ints, skin: Ints, most: float) -> tuple[float, float]:
     """How thin (m) the body is behind a small part of its skin and behind half of it, inf where that is more than
     `most` (m): how far inwards from places on it outside is, to a tenth."""
+    import igl
+
     corner = points[skin]
     normal = area_vectors(points, skin)
     twice = np.linalg.norm(normal, axis=1)

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-import igl
 import numpy as np
 
 from voile.arrays import Ints, Reals
@@ -27,7 +27,7 @@ class Frames:
     first: DistanceField
     source: str
     _fields: dict[int, DistanceField] = field(default_factory=dict, repr=False, compare=False)
-    _trees: dict[float, tuple[Reals, igl.AABB]] = field(default_factory=dict, repr=False, compare=False)
+    _trees: dict[float, tuple[Reals, Any]] = field(default_factory=dict, repr=False, compare=False)
     _known: list[tuple[Start, Ints, Reals]] = field(default_factory=list, repr=False, compare=False)
 
     @property
@@ -85,8 +85,10 @@ class Frames:
         _, corners, shares = known[0]
         return _at(self.points[k + 1] - self.points[k], corners[start.rows], shares[start.rows])
 
-    def _tree(self, t: float) -> tuple[Reals, igl.AABB]:
+    def _tree(self, t: float) -> tuple[Reals, Any]:
         """The points (n, 3) m at a time and a search tree of the triangles there: a step asks for its start's often."""
+        import igl
+
         if t not in self._trees:
             self._trees.clear()
             before, tree = self.at(t), igl.AABB()

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import ArrayLike
 
 from voile import _kernels
 from voile.arrays import Ints, Reals
@@ -123,7 +122,9 @@ def _check_manifold(topology: Topology) -> None:
             raise InputError(f"triangles: the edge between vertices {i} and {j} has {what}")
 
 
-def _fabric(count: int, thickness: ArrayLike, young: ArrayLike, poisson: ArrayLike) -> list[Reals]:
+def _fabric(
+    count: int, thickness: Reals | float, young: Reals | float, poisson: Reals | float
+) -> list[Reals]:
     values = []
     for name, value, low, high in (
         ("thickness", thickness, 0.0, np.inf),

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from voile.arrays import Reals
 from voile.errors import NotConverged
@@ -217,6 +216,8 @@ class Pencil:
         tolerance: float = TOLERANCE,
     ) -> tuple[Reals, list[PETSc.Vec]]:
         """Further eigenpairs beside those found."""
+        from slepc4py import SLEPc
+
         definite, room = solver.ksp.getOperators()[0], self.problem.unknowns - len(found)
         product = self.problem.create_vector()
         self.other.mult(first, product)

@@ -6,7 +6,6 @@ A V-cycle smooths by Chebyshev's method on each level, whose matrix is what the 
 
 import numpy as np
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from voile.errors import InputError
 from voile.problem.imperfection import imperfection
@@ -173,6 +172,8 @@ class Multigrid(LinearSolver):
     def _smallest(self, matrix: PETSc.Mat) -> float | None:
         """Smallest eigenvalue (N/m) with the diagonal of the mass, over its mean: the residual is then as large as the
         eigenvalue's error; None where the search does not converge."""
+        from slepc4py import SLEPc
+
         diagonal = self.problem.mass()
         diagonal.scale(diagonal.getSize() / diagonal.sum())
         mass = PETSc.Mat().createAIJ(matrix.getSizes(), nnz=(1, 0), comm=matrix.comm)

@@ -3,7 +3,6 @@
 import math
 
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from voile.problem.contact import contact_of
 from voile.problem.imperfection import imperfection
@@ -64,6 +63,8 @@ def smallest_eigenpair(
     Shift-and-invert just below the spectrum: the shift -s is lowered from -`scale` until the inertia of K + s M shows
     no negative eigenvalue, so that the eigenvalue nearest to it is the smallest.
     """
+    from slepc4py import SLEPc
+
     counts, mass = counts or Counts(), problem.mass_matrix()
     eps = SLEPc.EPS().create(comm=tangent.comm)
     eps.setOperators(tangent, mass)

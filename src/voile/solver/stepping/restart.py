@@ -5,8 +5,8 @@ from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from voile.arrays import Ints
 from voile.contact.candidates import Candidates
 from voile.contact.history import PER_PARTNER, History
 from voile.problem.problem import Problem
@@ -113,7 +113,7 @@ def unpacked_path(found: Arrays, path: Path) -> dict[str, Any]:
     return said
 
 
-def _said(**values: Any) -> NDArray[np.uint8]:
+def _said(**values: Any) -> Ints:
     """Plain values as the bytes of their JSON."""
     return np.frombuffer(json.dumps(values, default=_plain).encode(), dtype=np.uint8)
 
