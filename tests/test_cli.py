@@ -386,22 +386,3 @@ def test_ranks_agree(name, scene, tmp_path, run_on, rank_counts):
     if name == "sewn panels":
         for _, x, _ in found:
             assert np.abs(x[25:30] - x[20:25]).max() <= 1e-15
-
-
-def test_commands_load_what_they_need_when_they_run():
-    """The command line alone takes 50 ms; with numpy it took 150."""
-    loaded = "import sys, voile.cli; voile.cli._parser(); print(*sys.modules)"
-    modules = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
-    assert "voile.commands.section" in modules.stdout.split() and "numpy" not in modules.stdout.split()
-
-
-def test_runs_load_what_their_scene_needs(scene):
-    """Libraries for layers, meshes as obstacles and modes take 25 ms of the 340 that a short run takes."""
-    path = scene()
-    loaded = f"import sys, voile.cli; voile.cli.main(['run', {path.name!r}]); print(*sys.modules)"
-    run = subprocess.run(
-        [sys.executable, "-c", loaded], capture_output=True, text=True, check=True, cwd=path.parent
-    )
-    modules = set(run.stdout.split())
-    assert "voile.solver.statics" in modules
-    assert not {"igl", "ipctk", "numpy.typing", "slepc4py.SLEPc", "voile.commands.section"} & modules
