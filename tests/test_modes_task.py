@@ -279,3 +279,34 @@ def test_ranks_agree(scene, tmp_path, run_on, rank_counts, text):
     for other, shape in zip(found[1:], shapes[1:], strict=True):
         np.testing.assert_allclose(other, found[0], rtol=1e-8)
         np.testing.assert_allclose(shape, shapes[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("pull", "free"), [(0.5, 1.0), (0.2, 2.0 / 3.0)])
+def test_what_slips_vibrates_along_its_way(pull, free):
+    """A strip on a plane, held at one end and pulled at the other by a share of its weight, slips where friction (0.3)
+    does not hold it, and there is a bar, held at one end: f = sqrt(E / rho) / (4 l)."""
+    import voile
+
+    length, width, thickness = 0.4, 0.02, 2e-3
+    points, triangles = sheet(60, 2, length, width)
+    points[:, 2] = 0.5 * thickness
+    force = pull * 1000.0 * thickness * length * width * 9.81
+    strip = {
+        "scene": {"task": "modes"},
+        "shell": {"mesh": (points, triangles), "young": 1e9, "poisson": 0.0, "thickness": thickness}
+        | {"density": 1000.0},
+        "loads": {
+            "gravity": [0.0, 0.0, -9.81],
+            "force": [{"select": {"box": [[length - 1e-9, -1, -1], [1, 1, 1]]}, "value": [force, 0.0, 0.0]}],
+        },
+        "fix": [{"select": {"box": [[-1, -1, -1], [1e-9, 1, 1]]}}],
+        "obstacle": [{"shape": "plane", "point": [0.0] * 3, "normal": [0.0, 0.0, 1.0], "friction": 0.3}],
+        "modes": {"count": 2},
+    }
+    result = voile.run(strip)
+    exact = np.array([1.0, 3.0]) * np.sqrt(1e9 / 1000.0) / (4.0 * free * length)
+    np.testing.assert_allclose(result.summary["modes"]["frequencies"], exact, rtol=0.02)
+    states = np.bincount(result.field("contact"), minlength=3)
+    contact = result.summary["contact"]
+    assert [contact["stick"], contact["slip"]] == list(states[1:]) and contact["slip"]
+    assert (contact["stick"] > 0) == (free < 1.0)

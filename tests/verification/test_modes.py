@@ -13,7 +13,7 @@ from voile.problem.contact import contact_fields, with_obstacles
 from voile.problem.problem import Problem
 from voile.solver.linear import Counts
 from voile.solver.modes import vibrations
-from voile.solver.path import require
+from voile.solver.path import StaticsOptions, require
 from voile.solver.statics import solve_statics
 
 # Leissa 1973, Barton 1951 (beam functions, upper bounds): up to 1 % above converged values.
@@ -102,14 +102,15 @@ def test_membrane_under_pressure():
 # ---- contact ----
 
 
-@pytest.mark.parametrize(("friction", "held"), [(0.0, [2]), (0.8, [0, 1, 2])])
+@pytest.mark.parametrize(("friction", "held"), [(0.0, [2]), (100.0, [0, 1, 2])])
 def test_contacts_hold_what_sticks_and_let_slide_what_slips(friction, held):
-    """A cantilever whose tip lies on a plane has the modes of one whose tip supports hold there."""
+    """A cantilever whose tip lies on a plane has the modes of one whose tip supports hold there. It pulls at the tip as
+    it sinks: only much friction holds that."""
     shell = vibrating.resting_strip()
     problem = Problem(shell, MPI.COMM_SELF)
     plane = Plane(point=np.array([0.0, 0.0, -0.05]), normal=np.array([0.0, 0.0, 1.0]), friction=friction)
     on_plane = with_obstacles(problem, [plane], 0.0)
-    y = require(solve_statics(on_plane)).state
+    y = require(solve_statics(on_plane, StaticsOptions(load_steps=20))).state
     state = contact_fields(on_plane, y)["contact"]
     touching = state == (1 if friction else 2)
     assert touching.any() and not (state == (2 if friction else 1)).any()

@@ -121,7 +121,8 @@ class LoadPath:
             path.steps.append(done)
             if on_step:
                 on_step(done, y)
-            self._begin()
+            if control.factor < 1.0:
+                self._begin()  # not at the end: what slipped on the way there tells what may slip on
             if on_pause:
                 on_pause(self._packed)
         path.converged, path.reason = True, path.steps[-1].reason
