@@ -202,6 +202,38 @@ def test_the_toggle_comes_down_on_a_rod():
     assert taken == pytest.approx(load - carried, abs=0.03)
 
 
+@pytest.mark.parametrize(("rise", "stop"), [(0.01, -0.005), (0.02, -0.005)])
+def test_an_arch_snaps_onto_a_plane(rise, stop):
+    """Its middle, a line of vertices that touches at once, comes down, the lower one past where it carries anything:
+    the load turns round there, and the plane takes what the arch does not. The touch is no bifurcation."""
+    u, v, triangles, side = mapped(40, 2, "crossed")
+    points, middle = np.column_stack([u, 0.05 * v, rise * np.sin(np.pi * u)]), np.abs(u - 0.5) < 1e-9
+    scene = {
+        "shell": {"mesh": (points, triangles), "young": 1e9, "poisson": 0.0, "thickness": 2e-3}
+        | {"density": 1.0},
+        "loads": {
+            "gravity": [0.0, 0.0, 0.0],
+            "force": [{"select": {"nodes": np.flatnonzero(middle).tolist()}, "value": [0.0, 0.0, -1.0]}],
+        },
+        "fix": [
+            {"select": {"nodes": np.flatnonzero(side.u0 | side.u1).tolist()}},
+            {"select": {"all": True}, "axes": "y"},
+        ],
+        "obstacle": [{"shape": "plane", "point": [0.0, 0.0, stop], "normal": [0.0, 0.0, 1.0]}],
+        "contact": {"offset": 0.0},
+        "statics": {"control": "arc-length"},
+    }
+    summary = voile.run(scene).summary
+    top, touch = summary["limit_points"]
+    assert len(summary["bifurcations"]) == 1
+    assert summary["bifurcations"][0]["load_factor"] < top["load_factor"]
+    assert touch["displacement"] == pytest.approx(rise - stop, abs=1e-5)
+    assert summary["contact"]["active"] == middle.sum()
+    assert summary["contact"]["obstacles"][0]["force"][2] == pytest.approx(
+        1.0 - touch["load_factor"], abs=2e-4
+    )
+
+
 @pytest.mark.parametrize("n", [40, 80])
 def test_a_column_bifurcates_onto_its_elastica(n):
     shell = roofs.pinned_strip(n, 1.2)

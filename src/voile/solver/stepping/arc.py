@@ -43,15 +43,19 @@ class PathPoint:
 
 
 class Linear:
-    """The equations of equilibrium, and the laws of contact without friction, linearised at y: one factorisation."""
+    """The equations of equilibrium, and the laws of contact without friction, linearised at y: one factorisation.
+    before: those of the iterate before, whose laws tell which contacts pulled there."""
 
-    def __init__(self, work: Workspace, problem: Problem, y: PETSc.Vec, kind: str):
+    def __init__(
+        self, work: Workspace, problem: Problem, y: PETSc.Vec, kind: str, before: "Linear | None" = None
+    ):
         self.work, self.problem, self.y, contact = work, problem, y, problem.contact
         if contact is None:
             self.laws: list[Linearised] = []
             self.solver = factor(work, problem, y, kind)
             return
-        self.laws = [contact.linearise(problem.positions(y), problem.time) for _ in range(2)]
+        known = before.laws if before else [None, None]
+        self.laws = [contact.linearise(problem.positions(y), problem.time, each) for each in known]
         problem.tangent(y, work.matrix, kind, self.laws[0].blocks())
         self.solver = work.symmetric
         self.solver.factor(work.matrix)
@@ -232,7 +236,7 @@ class Arc:
         """Newton's method from a first step on: on the plane a length along (v, slope), or, without v, at the factor
         t."""
         problem, y, stall, kind, sharp = self.problem, self.back(point), Stall(), "mixed", False
-        residual = y.duplicate()
+        residual, linear = y.duplicate(), None
         if limit(problem.at(t), y, way) < 1.0:
             return None
         problem.predict(y, way)
@@ -253,7 +257,7 @@ class Arc:
             if reason:
                 return PathPoint(now.save(y), t, it, norm, reason, way)
             self.work.counts.iterations += 1
-            linear = Linear(self.work, now, y, kind)
+            linear = Linear(self.work, now, y, kind, linear)
             kind = "mixed"
             if not linear.solver.usable:
                 return None

@@ -4,7 +4,7 @@ A limit point is where the load factor's slope changes its sign; a bifurcation w
 otherwise. Either lies between two points of the path, and is closed in by equilibria between them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -163,6 +163,7 @@ class ArcPath:
                 if there is None:
                     path.reason = f"no equilibrium next to that at load factor {here.factor:g}"
                     return
+                here = replace(here, negative=None)  # a touch turns the load factor at the same inertia
             left = self._pass(here, there)
             if left:
                 here, length = left
