@@ -99,7 +99,11 @@ fi
 
 
 def submit(folder, *arguments, **environment):
-    for name, text in (("sbatch", SBATCH), ("voile", VOILE)):
+    for name, text in (
+        ("sbatch", SBATCH),
+        ("voile", VOILE),
+        ("srun", '#!/usr/bin/env bash\necho srun >> "$LOG"\n'),
+    ):
         (folder / name).write_text(text)
         (folder / name).chmod(0o755)
     env = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "LOG": str(folder / "log"), **environment}
@@ -117,7 +121,7 @@ def submit(folder, *arguments, **environment):
 
 def test_a_study_is_an_array(tmp_path):
     """A task per missing run, then the tables after all of them, with the caller's options."""
-    done, log = submit(tmp_path, "a study.toml", "out", "--time=0:10:00")
+    done, log = submit(tmp_path, "a study.toml", "out", "--time=0:10:00", SLURM_NTASKS="4")
     assert done.returncode == 0, done.stderr
     assert done.stdout == "3 runs: job 42\ntables: job 42\n"
     assert log[0] == "voile study a study.toml -o out --list-runs"

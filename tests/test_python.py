@@ -1,11 +1,13 @@
 """Voile from Python: scenes as files and dicts, meshes as arrays, results in memory, many runs in one process."""
 
+import gc
 import json
 import os
 import re
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +139,14 @@ def test_what_a_result_tells(tmp_path):
     assert result._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(KeyError, match="no field 'stress'; there are"):
         result.field("stress")
+
+
+def test_a_run_in_time_leaves_no_file_open():
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always", ResourceWarning)
+        voile.run(falling())
+        gc.collect()
+    assert not [w for w in seen if issubclass(w.category, ResourceWarning)]
 
 
 def test_a_rest_shape_and_a_body_of_arrays():

@@ -128,6 +128,12 @@ def test_runs_by_themselves_are_collected_later(study, tmp_path):
     )
     left = voile("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines()
     assert left == [listed[0], listed[2]]
+    (record,) = (tmp_path / "out" / "runs").glob("*/run.json")
+    kept = record.read_text()
+    record.write_text(json.dumps(json.loads(kept) | {"status": "failed", "reason": "no memory"}))
+    assert voile("study", path, "-o", tmp_path / "out", "--list-runs").stdout.splitlines() == listed
+    subprocess.run(listed[1], shell=True, check=True, capture_output=True, timeout=60)
+    assert json.loads(record.read_text())["status"] == "converged"
     again = voile("study", path, "-o", tmp_path / "out")
     assert again.returncode == 0
     assert [line.endswith("known") for line in again.stderr.splitlines()] == [False, True, False]

@@ -268,14 +268,18 @@ def test_the_librarys_fabrics_are_what_was_measured(tmp_path, name):
     assert np.isfinite(build_model(scene).shell.weave).all()
 
 
-def test_wool_has_the_bending_that_was_measured_and_no_moduli(tmp_path):
-    """Its source: 16.29 mg/cm^2 and 0.067 gf cm^2/cm; 1 gf is 9.80665e-3 N."""
-    text = '[shell]\nmesh = "mesh.obj"\nfabric = "wool"\nwarp = [0, 1, 0]\n'
+@pytest.mark.parametrize(
+    "name, mass, bending",
+    [("wool", 16.29, 0.067), ("cotton", 12.38, 0.118), ("polyester-faille", 10.43, 0.019)],
+)
+def test_wool_has_the_bending_that_was_measured_and_no_moduli(tmp_path, name, mass, bending):
+    """Their source: mass in mg/cm^2, bending in gf cm^2/cm; 1 gf is 9.80665e-3 N."""
+    text = f'[shell]\nmesh = "mesh.obj"\nfabric = "{name}"\nwarp = [0, 1, 0]\n'
     rest = "[[fix]]\nselect = { nodes = [0, 1, 2] }\n"
     scene = read_scene(write(tmp_path, text + "young = 2e6\n" + rest)).shell
     assert scene.material == "orthotropic" and scene.young == 2e6
-    assert scene.density * scene.thickness == pytest.approx(0.1629)
-    assert scene.bending_warp == scene.bending_weft == pytest.approx(0.067 * 9.80665e-3 * 1e-2)
+    assert scene.density * scene.thickness == pytest.approx(0.01 * mass)
+    assert scene.bending_warp == scene.bending_weft == pytest.approx(bending * 9.80665e-3 * 1e-2)
     with pytest.raises(InputError, match='"young" is missing'):
         read_scene(write(tmp_path, text + rest))
 

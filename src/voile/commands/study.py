@@ -29,7 +29,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     alone.add_argument(
         "--list-runs",
         action="store_true",
-        help="print one shell command per run that is missing, and run nothing",
+        help="print one shell command per run that is missing or failed, and run nothing",
     )
     alone.add_argument("--run", type=int, metavar="K", help="only the run of this number, from 1")
 
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace, runs: Runs) -> None:
-    """One line per run that is not complete."""
+    """One line per run that is not complete, or failed."""
     words = [
         sys.executable,
         "-m",
@@ -69,16 +69,16 @@ def _list(args: argparse.Namespace, runs: Runs) -> None:
         str(runs.out.resolve()),
     ]
     for k, each in enumerate(runs.plan.runs, 1):
-        if runs.record(each) is None:
+        if runs.record(each, retry=True) is None:
             print(f"{shlex.join(words)} --run {k}")
 
 
 def _one(args: argparse.Namespace, runs: Runs) -> int:
-    """The run of a number, if it is missing."""
+    """The run of a number, if it is missing or failed."""
     count = len(runs.plan.runs)
     if not 1 <= args.run <= count:
         raise InputError(f"--run {args.run}: allowed: 1 to {count}, the runs of {args.study}")
-    runs.all(1, _tell, [runs.plan.runs[args.run - 1]])
+    runs.all(1, _tell, [runs.plan.runs[args.run - 1]], retry=True)
     return 0
 
 

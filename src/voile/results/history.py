@@ -78,6 +78,11 @@ class HistoryWriter:
         """Puts all rows into the file. Collective."""
         on_root(self.comm, self._write)
 
+    def close(self) -> None:
+        """Lets the file go; nothing is added after it."""
+        if self._file:
+            self._file.close()
+
     def _write(self) -> None:
         if not self._columns and not self.stored:
             return

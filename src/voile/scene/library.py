@@ -9,9 +9,10 @@ Bending there is the k of the hinge energy k l^2 theta^2 / (8 a), l an edge's le
 two triangles (Bridson et al. 2003; ARCSim's bending_energy). Of a grid bent to a cylinder of curvature c that is
 k c^2 / 8 per area, and B c^2 / 2 of a plate: B = k/4.
 
-Wool: Matsudaira, Masuda, Wada and Yokura (2015), "Shape factor of flared skirts compared with that of circular
-fabrics", Journal of Textile Engineering 61, 69-73, table 1: "wool tropical", plain weave, all wool, by Kawabata's
-instruments; read in a copy of the table. It has no moduli: scenes give `young`.
+Cotton, wool, polyester faille: Matsudaira, Masuda, Wada and Yokura (2015), "Shape factor of flared skirts compared with
+that of circular fabrics", Journal of Textile Engineering 61, 69-73, table 1: "cotton broad" and "wool tropical", plain
+weaves of one fibre, and "polyester faille", by Kawabata's instruments; read in a copy of the table. It has no moduli:
+scenes give `young`.
 """
 
 from typing import Any
@@ -64,7 +65,11 @@ MEASURED = {
 }
 
 # Per area mass (kg/m^2), thickness (m), bending stiffness (gf cm^2/cm, one for both directions)
-BENDING = {"wool": (0.1629, 0.407e-3, 0.067)}
+BENDING = {
+    "cotton": (0.1238, 0.497e-3, 0.118),
+    "wool": (0.1629, 0.407e-3, 0.067),
+    "polyester-faille": (0.1043, 0.226e-3, 0.019),
+}
 GRAM_FORCE = 9.80665e-5  # N m in a gf cm^2/cm
 
 

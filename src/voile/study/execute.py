@@ -82,8 +82,9 @@ class Runs:
         """Where a run's results are."""
         return self.out / "runs" / run.folder
 
-    def record(self, run: Run) -> Record | None:
-        """What is known of a run: its record, if it is complete and measures what the study does."""
+    def record(self, run: Run, retry: bool = False) -> Record | None:
+        """What is known of a run: its record, if it is complete and measures what the study does. retry: a run that
+        failed (a machine without memory, an MPI that did not start) is not known."""
         if run.scene is None:
             return Record(run.key, REFUSED, run.refused)
         try:
@@ -91,6 +92,8 @@ class Runs:
         except (OSError, ValueError, TypeError):
             return None
         if found.key != run.key or (found.status == SLOW and self._allows_longer(found)):
+            return None
+        if retry and found.status == FAILED:
             return None
         if found.status == CONVERGED and set(found.values) != {m.name for m in self.plan.measures}:
             return self._measured(run, found)
@@ -107,14 +110,18 @@ class Runs:
         return found
 
     def all(
-        self, jobs: int, tell: Callable[[Run, Record, bool], None], runs: Sequence[Run] | None = None
+        self,
+        jobs: int,
+        tell: Callable[[Run, Record, bool], None],
+        runs: Sequence[Run] | None = None,
+        retry: bool = False,
     ) -> list[Record]:
         """Records of the runs, by default of all, of which those that are missing are run, `jobs` at a time, in threads
-        that no signal interrupts. tell(run, record, new)."""
+        that no signal interrupts. tell(run, record, new). retry: those that failed, too."""
 
         def one(run: Run) -> Record:
-            known = self.record(run)
-            found = known or self.run(run)
+            known = self.record(run, retry)
+            found = known or self.run(run, retry)
             tell(run, found, known is None)
             return found
 
@@ -144,10 +151,10 @@ class Runs:
         """What a study that was told to end says."""
         return NotConverged(f"stopped; complete runs are kept in {self.out}, the same command goes on")
 
-    def run(self, run: Run) -> Record:
+    def run(self, run: Run, retry: bool = False) -> Record:
         """Runs one, unless another process has meanwhile. Raises NotConverged if it was stopped."""
         with self._lock(run) as lock:
-            return self.record(run) or self._run(run, lock)
+            return self.record(run, retry) or self._run(run, lock)
 
     def _run(self, run: Run, lock: int) -> Record:
         folder, spec = self.folder(run), self.plan.study.study

@@ -77,6 +77,7 @@ class TimeSteps:
         if self.written < path.time:
             self.write(path.time, path.last.residual if path.last else math.nan, path)
         self.save(path)
+        self.history.close()
 
     def write(self, at: float, residual: float, path: TimePath) -> None:
         """A step of the result file."""
