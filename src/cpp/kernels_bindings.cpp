@@ -59,10 +59,11 @@ struct Model {
     mesh.across = copied(across);
     mesh.start = copied(start);
     for (size_t k = 0; k < count; ++k)
-      if (mesh.corner[k] < 0 || mesh.corner[k] >= mesh.vertices || mesh.edge[k] < 0 ||
+      if (mesh.corner[k] < 0 || mesh.corner[k] >= mesh.vertices || (edges && mesh.edge[k] < 0) ||
           mesh.edge[k] >= edges || mesh.across[k] >= (int)count)
         throw nb::value_error("mesh: index out of range");
     elastic = make_elastic(name, mesh);
+    if (elastic->directors() && !edges && count) throw nb::value_error("mesh: directors need edges");
   }
 
   State state(const Doubles& u, const Doubles& phi) const {

@@ -29,7 +29,8 @@ class EndMoments:
         """(local dofs,) N, and N m on directors, at the kernel's displacements u (3 vertices,)."""
         total = np.zeros(sum(self._size))
         kernel.turn_gradient(u, np.zeros(self._size[1]), self._all, total[: len(u)])
-        np.subtract.at(total, self._edges, self._moment * self._signs)
+        if self._size[1]:
+            np.subtract.at(total, self._edges, self._moment * self._signs)
         return total
 
     def linearise(self, x: Reals) -> None:

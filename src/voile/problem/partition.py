@@ -25,7 +25,8 @@ from voile.problem.shell import Shell, hilbert_order
 class Part:
     """One rank's share; local numbering throughout. dofs: 3*vertex + axis, then edges.
 
-    vertex, edge, triangle, rest_vertex: indices in the input. matrix (dofs, unknowns): C, the first `owned` unknowns
+    vertex, edge, triangle, rest_vertex: indices in the input; no edge of models without directors, whose triangle_edges
+    are -1. matrix (dofs, unknowns): C, the first `owned` unknowns
     are the rank's own, the rest ghosts whose global numbers are ghost_global. weight (m,): 1 where the triangle counts
     here.
     """
@@ -90,7 +91,9 @@ def lumped_mass(
     """
     share = density_area * thickness / 3.0
     vertex = np.bincount(corners.ravel(), np.repeat(share, 3), counts[0])
-    edge = np.bincount(edges.ravel(), np.repeat(share * thickness**2 / 12.0, 3), counts[1])
+    edge = np.zeros(0)
+    if counts[1]:
+        edge = np.bincount(edges.ravel(), np.repeat(share * thickness**2 / 12.0, 3), counts[1])
     return np.concatenate([np.repeat(vertex, 3), edge])
 
 
@@ -174,11 +177,13 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
         raise
     comm.bcast(None)
     for rank in range(1, comm.size):
-        comm.send(cut(shell, constraints, numbering, rank, clamps), dest=rank)
-    return cut(shell, constraints, numbering, 0, clamps)
+        comm.send(cut(shell, constraints, numbering, rank, clamps, directors), dest=rank)
+    return cut(shell, constraints, numbering, 0, clamps, directors)
 
 
-def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: Reals) -> Part:
+def cut(
+    shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: Reals, directors: bool
+) -> Part:
     """The part of one rank. clamps (k, 7) as Part.half_edge_clamp, with global half edges."""
     n, topology = len(shell.points), shell.topology
     edges = len(topology.edges)
@@ -186,7 +191,7 @@ def cut(shell: Shell, constraints: Constraints, numbering: Numbering, rank: int,
     corners = shell.triangles[triangles]
     # with the vertices that belong to no triangle (theirs vanished in a seam): somebody must write them
     vertex = np.union1d(corners, np.flatnonzero(numbering.node_owner[:n] == rank))
-    edge = np.unique(topology.triangle_edges[triangles])
+    edge = np.unique(topology.triangle_edges[triangles]) if directors else np.zeros(0, dtype=np.int64)
     dofs = np.concatenate([(3 * vertex[:, None] + np.arange(3)).ravel(), 3 * n + edge])
     matrix, ghost = _combination(constraints.matrix[dofs], numbering, rank)
     vertex_local, edge_local = _numbers(vertex, n), _numbers(edge, edges)
