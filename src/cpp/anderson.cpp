@@ -2,33 +2,16 @@
 
 #include <algorithm>
 
+#include "blas.hpp"
 #include "doubles.hpp"
 
 namespace voile {
+namespace {
 
-Memory::Memory(int size, int depth)
-    : size(size),
-      depth(depth),
-      iterate(size),
-      step(size),
-      changes((size_t)size * depth),
-      moves((size_t)size * depth) {}
+constexpr int PIECE = 512;   // numbers of each vector that are worked on while they are near
+const double FAINT = 1e-14;  // of the largest: singular values of the products that are round-off
 
-void Memory::add(const double* now, const double* stepped) {
-  if (begun && depth) {
-    double *change = &changes[(size_t)size * next], *move = &moves[(size_t)size * next];
-    for (int i = 0; i < size; ++i) {
-      change[i] = stepped[i] - step[i];
-      move[i] = now[i] - iterate[i] + change[i];
-    }
-    next = (next + 1) % depth, count = std::min(count + 1, depth);
-  }
-  std::copy(now, now + size, iterate.begin());
-  std::copy(stepped, stepped + size, step.begin());
-  begun = true;
-}
-
-VOILE_CLONES static double product(const double* a, const double* b, int size) {
+VOILE_INLINED double product(const double* a, const double* b, int size) {
   double sum[8] = {};
   int i = 0;
   for (; i + 8 <= size; i += 8)
@@ -38,20 +21,71 @@ VOILE_CLONES static double product(const double* a, const double* b, int size) {
   return sum[0];
 }
 
-void Memory::products(double* out) const {
-  std::fill(out, out + 2 * depth, 0.0);
+// Of `count` rows (count, stride) with two vectors, added to out (2, depth).
+VOILE_CLONES void add_products(const double* rows, size_t stride, int count, const double* first,
+                               const double* second, int size, int depth, double* out) {
   for (int k = 0; k < count; ++k) {
-    const double* change = &changes[(size_t)size * k];
-    out[k] = product(change, &changes[(size_t)size * newest()], size);
-    out[depth + k] = product(change, step.data(), size);
+    out[k] += product(rows + stride * k, first, size);
+    out[depth + k] += product(rows + stride * k, second, size);
   }
 }
 
-void Memory::combine(const double* share, double* out) const {
-  std::copy(step.begin(), step.end(), out);
-  for (int k = 0; k < count; ++k) {
-    const double* move = &moves[(size_t)size * k];
-    for (int i = 0; i < size; ++i) out[i] -= share[k] * move[i];
+VOILE_CLONES void subtract(const double* rows, size_t stride, int count, const double* share, int size,
+                           double* out) {
+  for (int k = 0; k < count; ++k)
+    for (int i = 0; i < size; ++i) out[i] -= share[k] * rows[stride * k + i];
+}
+
+}  // namespace
+
+Memory::Memory(int size, int depth)
+    : size(size),
+      depth(depth),
+      iterate(size),
+      step(size),
+      changes((size_t)size * depth),
+      moves((size_t)size * depth),
+      gram((size_t)depth * depth) {}
+
+void Memory::add(const double* now, const double* stepped, double* out) {
+  const bool more = begun && depth;
+  const int newest = next;
+  if (more) next = (next + 1) % depth, count = std::min(count + 1, depth);
+  begun = true;
+  std::fill(out, out + 2 * depth, 0.0);
+  for (int from = 0; from < size; from += PIECE) {
+    const int to = std::min(from + PIECE, size);
+    if (more) {
+      double *change = &changes[(size_t)size * newest], *move = &moves[(size_t)size * newest];
+      for (int i = from; i < to; ++i) {
+        change[i] = stepped[i] - step[i];
+        move[i] = now[i] - iterate[i] + change[i];
+      }
+      add_products(&changes[from], size, count, change + from, stepped + from, to - from, depth, out);
+    }
+    std::copy(now + from, now + to, &iterate[from]);
+    std::copy(stepped + from, stepped + to, &step[from]);
+  }
+}
+
+std::vector<double> Memory::shares(const double* total) {
+  const int newest = (next + depth - 1) % depth, one = 1, room = 8 * depth;
+  for (int k = 0; k < count; ++k) gram[newest * depth + k] = gram[k * depth + newest] = total[k];
+  std::vector<double> matrix, right(total + depth, total + depth + count), singular(count), work(room);
+  for (int k = 0; k < count; ++k) matrix.insert(matrix.end(), &gram[k * depth], &gram[k * depth] + count);
+  int rank, info;
+  dgelss_(&count, &count, &one, matrix.data(), &count, right.data(), &count, singular.data(), &FAINT, &rank,
+          work.data(), &room, &info);
+  if (info) std::fill(right.begin(), right.end(), 0.0);
+  return right;
+}
+
+void Memory::combine(const double* total, double* out) {
+  const std::vector<double> share = count ? shares(total) : std::vector<double>{};
+  for (int from = 0; from < size; from += PIECE) {
+    const int to = std::min(from + PIECE, size);
+    std::copy(&step[from], &step[from] + (to - from), out + from);
+    subtract(&moves[from], size, count, share.data(), to - from, out + from);
   }
 }
 

@@ -16,6 +16,9 @@ void dtrsv_(const char* uplo, const char* trans, const char* diagonal, const int
 void dgemv_(const char* trans, const int* m, const int* n, const double* alpha, const double* a,
             const int* lda, const double* x, const int* xstep, const double* beta, double* y,
             const int* ystep);
+void dgelss_(const int* m, const int* n, const int* sides, double* a, const int* lda, double* b,
+             const int* ldb, double* singular, const double* faint, int* rank, double* work, const int* room,
+             int* info);
 void dlaswp_(const int* n, double* a, const int* lda, const int* k1, const int* k2, const int* pivots,
              const int* step);
 }

@@ -105,12 +105,17 @@ VOILE_CLONES void sweep(const std::vector<Node>& nodes, int sides, float* work, 
 
 }  // namespace
 
-Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value) {
+Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const double* value, int sides,
+                   const int32_t* places)
+    : sides(sides), furthest(*std::max_element(places, places + (size_t)sides * size)) {
   Definite made(std::make_shared<Fronts>(size, start, column, 1));
   if (!made.factor(value)) throw std::runtime_error("the matrix is not positive definite");
   const Fronts& by = made.by();
-  order.assign(by.order(), by.order() + size);
-  for (int i : order) sums.push_back(std::accumulate(value + start[i], value + start[i + 1], 0.0));
+  for (int i = 0; i < size; ++i) {
+    const int row = by.order()[i];
+    for (int k = 0; k < sides; ++k) place.push_back(places[(size_t)k * size + row]);
+    sums.push_back(std::accumulate(value + start[row], value + start[row + 1], 0.0));
+  }
   total = std::accumulate(sums.begin(), sums.end(), 0.0);
   std::vector<double> front;
   std::vector<size_t> starts;
@@ -145,18 +150,19 @@ Cholesky::Cholesky(int size, const int32_t* start, const int32_t* column, const 
   values.resize(most);
 }
 
-void Cholesky::solve(double* b, int count) {
-  const int size = this->size();
+void Cholesky::solve(const double* b, double* x) {
   double whole[3] = {};  // a motion of all alike, which the sheet that falls has to round-off
-  for (int i = 0; i < size; ++i)
-    for (int k = 0; k < count; ++k) whole[k] += b[(size_t)k * size + i];
+  const int* at = place.data();
+  for (size_t i = 0; i < sums.size(); ++i)
+    for (int k = 0; k < sides; ++k) whole[k] += b[*at++];
   for (double& motion : whole) motion /= total;
-  for (int i = 0; i < size; ++i)
-    for (int k = 0; k < count; ++k)
-      work[4 * i + k] = (float)(b[(size_t)k * size + order[i]] - sums[i] * whole[k]);
-  sweep(nodes, count, values.data(), work.data());
-  for (int i = 0; i < size; ++i)
-    for (int k = 0; k < count; ++k) b[(size_t)k * size + order[i]] = whole[k] + work[4 * i + k];
+  at = place.data();
+  for (size_t i = 0; i < sums.size(); ++i)
+    for (int k = 0; k < sides; ++k) work[4 * i + k] = (float)(b[*at++] - sums[i] * whole[k]);
+  sweep(nodes, sides, values.data(), work.data());
+  at = place.data();
+  for (size_t i = 0; i < sums.size(); ++i)
+    for (int k = 0; k < sides; ++k) x[*at++] = whole[k] + work[4 * i + k];
 }
 
 }  // namespace voile

@@ -1,6 +1,7 @@
 // Sparse Cholesky factors for very many solves with three right-hand sides.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -22,17 +23,20 @@ struct Node {
 // and far more where others crowd the cache.
 class Cholesky {
  public:
-  // Rows of the matrix, both triangles, columns ascending. Throws std::runtime_error where it is not positive
-  // definite.
-  Cholesky(int size, const int32_t* start, const int32_t* column, const double* value);
+  // Rows of the matrix, both triangles, columns ascending; places (sides, size), at most 3 sides: where the
+  // right-hand sides are. Throws std::runtime_error where it is not positive definite.
+  Cholesky(int size, const int32_t* start, const int32_t* column, const double* value, int sides,
+           const int32_t* places);
 
-  // b = A^-1 b, to some 1e-6, for `count` right-hand sides of `size` numbers each, at most 3.
-  void solve(double* b, int count);
-  int size() const { return (int)order.size(); }
+  // x = A^-1 b, to some 1e-6, at the places; nothing else is read or written.
+  void solve(const double* b, double* x);
+  size_t least() const { return furthest + 1; }             // numbers in b
   double nonzeros() const { return (double)panel.size(); }  // of the supernodes
 
  private:
-  std::vector<int32_t> order;  // the matrix's row at each place of the factor
+  int sides;
+  size_t furthest;
+  std::vector<int32_t> place;  // (size, sides) in b and x, in the factor's order
   std::vector<double> sums;    // of these rows, and of them all
   double total;
   std::vector<int32_t> rows;  // of all supernodes

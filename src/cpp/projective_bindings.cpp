@@ -55,21 +55,23 @@ NB_MODULE(_projective, m) {
   nb::class_<Cholesky>(m, "Cholesky")
       .def(
           "__init__",
-          [](Cholesky* self, In<int32_t> start, In<int32_t> column, In<double> value) {
+          [](Cholesky* self, In<int32_t> start, In<int32_t> column, In<double> value, In<int32_t> places) {
             const int size = (int)start.size() - 1;
             if (size < 1 || column.size() != value.size() || (size_t)start.data()[size] != value.size())
               throw nb::value_error("Cholesky: rows of a sparse matrix expected");
-            new (self) Cholesky(size, start.data(), column.data(), value.data());
+            if (places.ndim() != 2 || places.shape(0) > 3 || places.shape(1) != (size_t)size)
+              throw nb::value_error("Cholesky: places (right-hand sides, size) expected, at most 3");
+            new (self) Cholesky(size, start.data(), column.data(), value.data(), (int)places.shape(0),
+                                places.data());
           },
-          "start"_a, "column"_a, "value"_a)
+          "start"_a, "column"_a, "value"_a, "places"_a)
       .def(
           "solve",
-          [](Cholesky& self, Out<double> b) {
-            if (b.ndim() != 2 || b.shape(0) > 3 || b.shape(1) != (size_t)self.size())
-              throw nb::value_error("solve: (right-hand sides, size) expected, at most 3");
-            self.solve(b.data(), (int)b.shape(0));
+          [](Cholesky& self, In<double> b, Out<double> x) {
+            if (b.size() < self.least()) throw nb::value_error("b");
+            self.solve(b.data(), sized(x, b.size(), "x"));
           },
-          "b"_a)
+          "b"_a, "x"_a)
       .def_prop_ro("nonzeros", &Cholesky::nonzeros);
 
   nb::class_<Fronts>(m, "Fronts", nb::is_weak_referenceable())
@@ -88,16 +90,13 @@ NB_MODULE(_projective, m) {
   nb::class_<Memory>(m, "Memory")
       .def(nb::init<int, int>(), "size"_a, "depth"_a)
       .def("forget", &Memory::forget)
-      .def_prop_ro("kept", &Memory::kept)
-      .def_prop_ro("newest", &Memory::newest)
       .def("add",
-           [](Memory& self, In<double> y, In<double> step) {
-             self.add(sized(y, self.length(), "y"), sized(step, self.length(), "step"));
+           [](Memory& self, In<double> y, In<double> step, Out<double> out) {
+             self.add(sized(y, self.length(), "y"), sized(step, self.length(), "step"),
+                      sized(out, self.sums(), "out"));
            })
-      .def("products",
-           [](const Memory& self, Out<double> out) { self.products(sized(out, 2 * self.most(), "out")); })
-      .def("combine", [](const Memory& self, In<double> share, Out<double> out) {
-        self.combine(sized(share, self.kept(), "share"), sized(out, self.length(), "out"));
+      .def("combine", [](Memory& self, In<double> total, Out<double> out) {
+        self.combine(sized(total, self.sums(), "total"), sized(out, self.length(), "out"));
       });
 
   nb::class_<Stiffness>(m, "Stiffness")

@@ -218,18 +218,19 @@ class _Step:
 
     def _solve(self) -> None:
         """direction = A^-1 force, or (T A^-1 T + W^T B^-1 W) force where forces are split."""
-        groups, force = self.matrices.groups, self.force.array_r
-        tangential, along = [force[rows] for rows in groups], list[Reals]()
-        for f, (normal, weighted) in zip(tangential, self.normals, strict=False):
-            along.append((weighted * f).sum(axis=0, keepdims=True))
-            f -= normal * along[-1]
-        self.matrices.solve(0, tangential)
-        if along:
-            self.matrices.solve(1, along)
-        for u, (normal, weighted), way in zip(tangential, self.normals, along, strict=False):
-            u += weighted * way - normal * (weighted * u).sum(axis=0)
-        for rows, u in zip(groups, tangential, strict=True):
-            self.direction.array[rows] = u
+        groups, force, found = self.matrices.groups, self.force.array_r, self.direction.array
+        if not self.normals:
+            self.matrices.solve(0, force, found)
+            return
+        tangential, along, way = np.zeros_like(force), np.zeros_like(force), np.zeros_like(force)
+        for rows, (normal, weighted) in zip(groups, self.normals, strict=True):
+            along[rows[0]] = (weighted * force[rows]).sum(axis=0)  # one axis stands for the normal
+            tangential[rows] = force[rows] - normal * along[rows[0]]
+        self.matrices.solve(0, tangential, found)
+        self.matrices.solve(1, along, way)
+        for rows, (normal, weighted) in zip(groups, self.normals, strict=True):
+            u = found[rows]
+            found[rows] = u + weighted * way[rows[0]] - normal * (weighted * u).sum(axis=0)
 
     def finish(self) -> None:
         """The reactions become the contact's."""
