@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from voile import _kernels
 from voile.errors import InputError
 from voile.problem.clamps import held_directors
 from voile.problem.constraints import build_constraints
@@ -309,3 +310,21 @@ def test_the_pattern_of_a_matrix_is_not_kept():
     for one in matrix, again:
         problem.tangent(problem.create_vector(), one)
     assert matrix.equal(again)
+
+
+@pytest.mark.parametrize(
+    "model", ["koiter/tan/stvk", "koiter/average/stvk", "membrane//stvk", "projective//"]
+)
+def test_only_models_with_directors_have_degrees_of_freedom_for_them(model):
+    shell = make_shell(*sheet(3, 2), model=model)
+    problem, edges = Problem(shell), len(shell.topology.edges)
+    assert len(problem.part.edge) == (edges if problem.directors else 0)
+    dofs = 3 * len(shell.points) + len(problem.part.edge)
+    assert problem.part.matrix.shape[0] == len(problem.forces(problem.create_vector())) == dofs
+
+
+def test_a_kernel_with_directors_needs_edges():
+    shell = make_shell(*sheet(3, 2))
+    top, none = shell.topology, np.full(shell.triangles.shape, -1, dtype=np.int32)
+    with pytest.raises(ValueError, match="directors need edges"):
+        _kernels.Elastic(shell.model, shell.triangles, none, top.signs, top.across, 0, shell.points)

@@ -87,13 +87,12 @@ def lumped_mass(
 ) -> Reals:
     """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2).
 
-    Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3); counts of both.
+    Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3), -1 without; counts of both.
     """
     share = density_area * thickness / 3.0
     vertex = np.bincount(corners.ravel(), np.repeat(share, 3), counts[0])
-    edge = np.zeros(0)
-    if counts[1]:
-        edge = np.bincount(edges.ravel(), np.repeat(share * thickness**2 / 12.0, 3), counts[1])
+    turns = edges.ravel() >= 0
+    edge = np.bincount(edges[edges >= 0], np.repeat(share * thickness**2 / 12.0, 3)[turns], counts[1])
     return np.concatenate([np.repeat(vertex, 3), edge])
 
 

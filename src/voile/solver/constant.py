@@ -16,8 +16,8 @@ from voile.solver.linear import Counts
 
 class ConstantMatrices:
     """Factors positive definite matrices of a problem's unknowns, the blocks of one. `groups`: (axes, size) own
-    unknowns of axes along which the same vertices move; the matrices couple each axis of a group alike. The first matrix is for
-    all axes, others are for the first of each group."""
+    unknowns of axes along which the same vertices move; the matrices couple each axis of a group alike. The first
+    matrix is for all axes, others are for the first of each group."""
 
     def __init__(self, problem: Problem, matrices: list[PETSc.Mat], counts: Counts):
         self.counts, self.comm = counts, problem.comm
