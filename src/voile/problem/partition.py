@@ -87,7 +87,7 @@ def lumped_mass(
 ) -> Reals:
     """(dofs,) mass of vertices (kg, each axis) and rotary inertia rho h^3/12 of the directors (kg m^2).
 
-    Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3), -1 without; counts of both.
+    Per triangle density times rest area (kg/m), thickness (m), corners (m, 3), edges (m, 3), -1 for none; counts.
     """
     share = density_area * thickness / 3.0
     vertex = np.bincount(corners.ravel(), np.repeat(share, 3), counts[0])
