@@ -12,10 +12,14 @@ from test_descent import hanging
 from test_problem import make_shell
 
 from voile.mesh import write_obj
+from voile.problem.imperfection import perturb
 from voile.problem.levels import coarsen
 from voile.problem.problem import Problem
 from voile.results import read_result
-from voile.solver.equilibrium import LEVEL, Solver
+from voile.solver.equilibrium import CREEP, Solver
+from voile.solver.methods.descent import Descent
+from voile.solver.methods.descent import Options as DescentOptions
+from voile.solver.methods.method import Workspace
 from voile.solver.nested import STRETCH, Options, pays, softened
 from voile.solver.path import StaticsOptions
 
@@ -149,12 +153,28 @@ def test_small_meshes_are_solved_at_once():
     assert pays(problem, Options(smallest=10))
 
 
-def test_descents_of_levels_are_brief():
-    """One that creeps costs more than all that the fine level could gain: see LEVEL."""
+def test_descents_of_levels_end_where_they_creep():
+    """What a creeping level gains is of no use to the fine one: see CREEP."""
     problem = Problem(hanging(24), MPI.COMM_SELF)
     solver = Solver(problem, StaticsOptions(nested=True))
     assert solver.nested and solver.nested.level
     coarse = solver.nested.level[1]
-    assert coarse.descent.options.iterations == LEVEL < solver.descent.options.iterations
+    assert coarse.descent.options.creep == CREEP > solver.descent.options.creep == 0.0
     y = coarse.problem.create_vector()
     assert coarse.level.solve(coarse.problem, y, 1e-4 * coarse.problem.load_norm(y)).converged
+
+
+@pytest.mark.parametrize(("creep", "ends"), [(0.5, True), (0.0, False)])
+def test_a_descent_that_creeps_ends(creep, ends):
+    problem = Problem(hanging(12), MPI.COMM_SELF)
+    descent = Descent(Workspace(problem), DescentOptions(creep=creep, look_back=3))
+    y = problem.create_vector()
+    perturb(problem, y, 1e-4)
+    descent.run(problem, y, 1e-8 * problem.load_norm(y))
+    energies = [step.energy for step in descent.steps]
+    slow = [
+        k
+        for k in range(3, len(energies))
+        if energies[k - 3] - energies[k] < 0.5 * (energies[0] - energies[k])
+    ]
+    assert slow and (len(energies) == slow[0] + 1) == ends

@@ -1,9 +1,9 @@
 """Contacts as Projective Dynamics with dry friction solves them: linearised at a shape, each for itself.
 
 Ly, Jouve, Boissieux & Bertails-Descoubes 2020 freeze everything but the masses of a contact's vertices; here their
-elasticity has a share in it (solver/sweeps.py), for stiff shells answer a reaction with far less motion. Contacts are
-solved one after the other in levels: first those with obstacles, then layers outward from there. Gaps are in the laws,
-so that a shell lands on what it touches.
+elasticity has a share in it (solver/resistance.py), for stiff shells answer a reaction with far less motion. Contacts
+are solved one after the other in levels: first those with obstacles, then layers outward from there. Gaps are in the
+laws, so that a shell lands on what it touches.
 """
 
 from dataclasses import dataclass, fields

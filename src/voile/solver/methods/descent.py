@@ -41,7 +41,8 @@ class Options:
     back where steps are short; the others go on as they did. shift: of the mass (1/s^2), always added: for a shell that
     nothing holds. stiffer: times the share of the safe matrix where a blend is not positive definite; hold: whole steps
     before the next lower share is tried then. Of 2 to 4 and 0 to 3 these took the fewest factorisations of a skirt
-    (273; 290 with 3 and 0). least: share under which the exact Hessian is as likely to serve."""
+    (273; 290 with 3 and 0). least: share under which the exact Hessian is as likely to serve. creep: share of the
+    potential's fall so far; ends, converged, where the last `look_back` steps fell by less."""
 
     iterations: int = 4000
     sufficient: float = 1e-4
@@ -55,6 +56,8 @@ class Options:
     stiffer: float = 4.0
     hold: int = 3
     least: float = 0.01
+    creep: float = 0.0
+    look_back: int = 20
 
 
 def shorter(length: float, predicted: float, decrease: float) -> float:
@@ -199,12 +202,19 @@ class Iteration:
     def _end(self, here: Iterate, stall: Stall, falls: bool) -> int:
         """Why it ends here, though SNES would go on; 0 where it does. falls: the potential, by the last step."""
         method = self.method
-        if method.settled and method.settled(self.steps):
+        if self._creeps() or (method.settled and method.settled(self.steps)):
             return int(_REASON.CONVERGED_ITS)
         if method.hopeless and method.hopeless(here.y):
             return int(_REASON.DIVERGED_LOCAL_MIN)
         method.stalled = stall.reached(self.problem, here.y, here.norm, falls)
         return int(_REASON.DIVERGED_LINE_SEARCH) if method.stalled else 0
+
+    def _creeps(self) -> bool:
+        steps, back = self.steps, self.options.look_back
+        if not self.options.creep or len(steps) <= back:
+            return False
+        now = steps[-1].energy
+        return steps[-1 - back].energy - now < self.options.creep * (steps[0].energy - now)
 
     def _watchdog(self, here: Iterate, direction: PETSc.Vec, trial: Iterate) -> None:
         """Where stretching cuts the line search short: the whole step and some mixed steps after it (Chamberlain et

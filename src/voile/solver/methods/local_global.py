@@ -31,7 +31,7 @@ from voile.solver.constant import ConstantMatrices
 from voile.solver.linear import Counts
 from voile.solver.methods.method import Outcome
 from voile.solver.normals import normals
-from voile.solver.sweeps import Resistance
+from voile.solver.resistance import Resistance
 
 SIZES = 2  # of time steps whose factors are kept
 # Of the stretching in B. Any has the same fixed points. With none reactions creep and tension is forgotten, with all of
