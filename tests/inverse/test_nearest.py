@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from inverse_shells import folded_skirt, grid, shell
 from mpi4py import MPI
+from petsc4py import PETSc
 from scipy.optimize import minimize
 from test_adjoint import wave
 from test_direct import heavy_strip, rod, solve
 
 from voile.inverse.direct import Direct
 from voile.inverse.journal import Journal
+from voile.inverse.moves import Moves
 from voile.inverse.nearest import Nearest
 from voile.inverse.neighbours import Checkpoint, Neighbours
 from voile.inverse.result import inverse_report
@@ -34,6 +36,24 @@ def test_the_barrier_has_its_derivatives_and_a_smooth_end():
     np.testing.assert_allclose((barrier(t + h)[1] - barrier(t - h)[1]) / (2 * h), second, rtol=1e-5)
     assert np.isinf(barrier(np.array([0.5, 0.0]))[0]).all()
     assert all(abs(values[0]) < 1e-8 for values in barrier(np.array([1.0 - 1e-9])))
+
+
+def test_moves_do_not_descend_along_what_bends_the_other_way():
+    """Round-off makes the metric of huge moves indefinite: no step there, not one of 1e300."""
+    metric = PETSc.Mat().createAIJ((2, 2), nnz=2, comm=PETSc.COMM_SELF)
+    metric.setValues([0, 1], [0, 1], [1.0, 0.0, 0.0, -1.0])
+    metric.assemble()
+    moves = SimpleNamespace(
+        problem=SimpleNamespace(comm=MPI.COMM_SELF),
+        metric_solver=SimpleNamespace(solutions=lambda left: left),
+        metric=metric,
+        rest_metric=metric,
+        _answer=np.zeros_like,
+        _reduced=lambda s, z: np.zeros_like(s),
+    )
+    s, z = Moves._descend(moves, np.eye(2), np.eye(2))
+    np.testing.assert_array_equal(s, [[1.0, 0.0], [0.0, 0.0]])
+    assert not z.any()
 
 
 @pytest.mark.parametrize("lowest", [0.1, -0.3])

@@ -182,7 +182,8 @@ class Moves:
                 np.zeros_like(ahead), -times(self.rest_metric, across)
             )
             curved = comm.allreduce(np.einsum("ij,ij->j", ahead, bent) @ weight)
-            length = (now / np.maximum(curved, 1e-300))[group]
+            # none along what round-off bends the other way
+            length = np.divide(now, curved, out=np.zeros_like(now), where=curved > 1e-300)[group]
             s, z, left, before = (
                 s + length * ahead,
                 z + length * across,
