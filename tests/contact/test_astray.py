@@ -9,7 +9,7 @@ import pytest
 from everyday import Everyday, everyday, sheet
 from mpi4py import MPI
 
-from voile.problem.contact import with_obstacles
+from voile.problem.contact import shell_layers, with_obstacles
 from voile.problem.problem import Problem
 from voile.scene import read_scene
 from voile.solver.path import StaticsOptions
@@ -129,3 +129,18 @@ def test_steps_grow_again_after_two_without_trouble():
     control.done(100, 0.01, False)
     assert control.step == pytest.approx(0.1)  # the nominal length is the longest
     assert np.isfinite(control.rate)
+
+
+def test_layers_do_not_slow_a_fall(tmp_path):
+    """A free sheet falls by its size onto a plane. As long as layers, of which none met, bounded its steps by a
+    hundredth of that, it took 88 factorisations."""
+    plane = {"shape": "plane", "point": [0.0, -0.4, 0.0], "normal": [0.0, 1.0, 0.0], "friction": 0.3}
+    shell = {"mesh": "cloth.obj", "young": 1e6, "thickness": 1e-3, "density": 300.0}
+    scene = {"shell": shell, "obstacle": [plane], "contact": {"self_contact": True}}
+    falling = Everyday("falling sheet", scene, sheet(0.4, 0.4, 0.05))
+    model = build_model(read_scene(falling.write(tmp_path)))
+    layers = shell_layers(model.shell, model.offset, 0.3)
+    problem = with_obstacles(Problem(sew(model.shell, MPI.COMM_WORLD)), model.obstacles, model.offset, layers)
+    path = solve_statics(problem, StaticsOptions())
+    assert path.converged and path.stable and path.counts.factorisations < 40
+    assert sum(problem.energies(path.state).values()) == pytest.approx(-0.18811656, rel=1e-6)

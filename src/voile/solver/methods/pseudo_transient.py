@@ -186,11 +186,15 @@ class _March:
     # ---- lengths of steps ----
 
     def _room(self) -> float:
-        """Sizes by which a step without friction may move from y."""
+        """Sizes by which a step without friction may move from y; one in which layers meet, by `_slip` alone."""
         contact, problem = self.contact, self.problem
         least = float(_gap(problem, self.y)[problem.own].min(initial=np.inf)) if contact.obstacles else 0.0
-        least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0) if not contact.itself else 0.0
-        return self.options.fresh + 2.0 * self.driven + 0.5 * least / problem.size()
+        least = max(problem.comm.allreduce(least, op=MPI.MIN), 0.0)
+        return float(self._slip() + 0.5 * least / problem.size())
+
+    def _slip(self) -> float:
+        """Sizes by which what meets in a step may slide without friction."""
+        return self.options.fresh + 2.0 * self.driven
 
     def _shorten(self) -> bool:
         """After a step that failed; whether there is hope."""
@@ -256,7 +260,9 @@ class _March:
             return None
         if done:
             potential.update(problem.point(y))
-            return True
+            meets = bool(contact.itself) and not problem.everywhere(not contact.history.normal[-1].any())
+            far = problem.largest_motion(difference(y, begun)) > self._slip()
+            return None if fresh and meets and far else True
         unfinished = descent.nonlinear.snes.reason == PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
         return False if unfinished else None
 
