@@ -225,6 +225,24 @@ def test_the_front_takes_no_heed_of_what_clocks_cannot_tell(findings):
     assert best == [3, None, None]
 
 
+def test_what_is_recommended_lies_on_the_front(findings):
+    """The third is alike to the second in time, and that to the first, but the third not to the first: which is the one
+    to choose for 0.1, and by the second's time."""
+    errors, seconds = {0: 0.07, 1: 0.01, 2: 0.001}, {0: 10.0, 1: 11.0, 2: 13.5}
+    text = "reference = 1.0\naccuracy = [0.1, 0.005]\n[vary]\nrefine = [0, 1, 2]\n"
+    found = findings(text, lambda s: 1.0 + errors[s["refine"]], lambda s: seconds[s["refine"]])
+    assert [row.run.effective["refine"] for row in found.front] == [1, 2]
+    assert [choice.row for choice in found.choices] == found.front
+
+
+def test_of_runs_as_exact_the_first_is_recommended(findings):
+    """Round-off does not choose among them."""
+    text = "reference = 1.0\naccuracy = [0.1]\n[vary]\nranks = [1, 2, 4]\n"
+    found = findings(text, lambda s: 1.01 - 1e-13 * s["ranks"], lambda s: 1.0 + 0.1 * s["ranks"])
+    assert [row.run.effective["ranks"] for row in found.front] == [1]
+    assert found.choices[0].row is found.front[0]
+
+
 @pytest.mark.parametrize(("clock", "front", "best"), [("wall", [1], 1), ("cpu", [0, 1], 0)])
 def test_front_and_choice_go_by_the_clock_asked_for(clock, front, best, findings):
     """The exact run is as fast on the wall, by several processors, and slower in all of them together."""

@@ -128,7 +128,7 @@ def analyse(plan: Plan, records: list[Record]) -> Findings:
     front = _front(rows, scatter)
     for row in front:
         row.front = True
-    choices = [_choice(accuracy, rows, scatter) for accuracy in plan.study.study.accuracy]
+    choices = [_choice(accuracy, rows, front) for accuracy in plan.study.study.accuracy]
     asked = min(plan.study.study.accuracy) if about.startswith(LIMIT) else math.inf
     poor = [s for name in references for s in _limits(series, name, origin) if _far(s, asked)]
     guesses = [name for name in references if any(s.measure == name for s in poor)]
@@ -268,31 +268,23 @@ def _alike(seconds: float, others: float, scatter: float) -> bool:
 
 
 def _front(rows: list[Row], scatter: float) -> list[Row]:
-    """Rows of which none is more exact in as many seconds or fewer (alike counts as as many), fastest first."""
-    rated = _rated(rows)
-
-    def beats(other: tuple[Row, float, float], row: Row, error: float, seconds: float) -> bool:
-        better, same = other[1] < error * (1.0 - SAME), other[1] <= error * (1.0 + SAME)
-        return other[0] is not row and (
-            (better and _alike(other[2], seconds, scatter))
-            or (same and not _alike(seconds, other[2], scatter))
-        )
-
-    kept = [
-        (seconds, row)
-        for row, error, seconds in rated
-        if not any(beats(other, row, error, seconds) for other in rated)
-    ]
-    return [row for _, row in sorted(kept, key=lambda pair: pair[0])]
+    """The most exact of the fastest rows (alike counts as as fast), then that of those more exact, and so on. Of rows
+    as exact the study's first."""
+    left, front = _rated(rows), list[Row]()
+    while left:
+        fastest = min(seconds for _, _, seconds in left)
+        alike = [(row, error) for row, error, seconds in left if _alike(seconds, fastest, scatter)]
+        least = min(error for _, error in alike)
+        front.append(next(row for row, error in alike if error <= least * (1.0 + SAME)))
+        left = [rated for rated in left if rated[1] < least * (1.0 - SAME)]
+    return front
 
 
-def _choice(accuracy: float, rows: list[Row], scatter: float) -> Choice:
-    """The most exact of the fastest rows that meet an accuracy, not by chance, and its neighbours in one setting."""
-    good = [(row, error, seconds) for row, error, seconds in _rated(rows) if error <= accuracy]
-    if not good:
+def _choice(accuracy: float, rows: list[Row], front: list[Row]) -> Choice:
+    """The fastest row of the front that meets an accuracy, not by chance, and its neighbours in one setting."""
+    chosen = next((row for row in front if (row.counted or 0.0) <= accuracy), None)
+    if chosen is None:
         return Choice(accuracy, None)
-    fastest = min(seconds for _, _, seconds in good)
-    chosen = min((g for g in good if _alike(g[2], fastest, scatter)), key=lambda g: g[1])[0]
     others = []
     for name in chosen.run.effective:
         for row, _, _ in _rated(rows):

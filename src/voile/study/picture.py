@@ -70,7 +70,7 @@ def _kinds(findings: Findings) -> dict[str, list[Row]]:
     for row in findings.rows:
         if row.error is not None:
             words = (
-                f"{v}" if isinstance(v := row.run.effective[n], str) else f"{n.rpartition('.')[2]} {v}"
+                v if isinstance(v := row.run.effective[n], str) else _short(n, v)
                 for n in plain
                 if row.run.effective[n] is not None
             )
@@ -103,7 +103,8 @@ def _name_front(axes: Any, findings: Findings) -> None:
     taken, labels = np.concatenate([axes.transData.transform(rows), *line]), list[Any]()
     said = ""
     for row, point in zip(findings.front, front, strict=True):
-        words = ", ".join(_short(n, row.run.effective[n]) for n in findings.varied if n in ORDERED)
+        ordered = ((n, row.run.effective[n]) for n in findings.varied if n in ORDERED)
+        words = ", ".join(_short(n, value) for n, value in ordered if value is not None)
         words, said = "" if words == said else words, words
         tried = [
             axes.annotate(
@@ -133,8 +134,9 @@ def _covers(box: Any, axes: Any, labels: list[Any], points: Reals) -> float:
 
 
 def _short(name: str, value: Any) -> str:
-    """A setting beside a point."""
-    return value.stem if isinstance(value, Path) else f"{name.rpartition('.')[2].replace('_', ' ')} {value}"
+    """A setting beside a point, or in the legend."""
+    said = f"{value:g}" if isinstance(value, float) else value
+    return value.stem if isinstance(value, Path) else f"{name.rpartition('.')[2].replace('_', ' ')} {said}"
 
 
 def _plain(seconds: float, position: int) -> str:
@@ -156,7 +158,7 @@ def _dress(axes: Any, findings: Findings, kinds: int) -> None:
     without = sum(row.error is None for row in findings.rows) - (findings.plan.reference is not None)
     named = [run.scene.scene.name for run in findings.plan.runs if isinstance(run.scene, Scene)]
     title = (next(iter(named), "") or findings.plan.scene.stem) + (
-        f" ({without} runs without an error)" if without else ""
+        f" ({without} runs without a result)" if without else ""
     )
     axes.set_title(title, loc="left", color=INK, fontsize=11)
     axes.grid(color=LINE, alpha=0.2, linewidth=0.6, which="both")

@@ -108,14 +108,15 @@ def draw(out: Path, plot: Plot, title: str) -> None:
 
 
 def paint(axes: Any, plot: Plot) -> None:
-    """Draws the curves into axes."""
-    markers, at = "os^Dv<>p*", 0
-    for k, curve in enumerate(plot.curves):
-        style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)], "label": curve.label}
+    """Draws the curves into axes: lines, and points, in the same order of colours, so that points have their line's."""
+    markers, drawn = "os^Dv<>p*", {True: 0, False: 0}
+    for curve in plot.curves:
+        at = drawn[curve.points]
+        drawn[curve.points] += 1
+        style: dict[str, Any] = {"color": COLOURS[at % len(COLOURS)], "label": curve.label}
         if curve.points:
             style |= {"linestyle": "none", "marker": markers[at % len(markers)], "markersize": 4.5}
             style |= {"markerfacecolor": "none"}
-            at += 1
         else:
             style |= {"linewidth": 1.4}
         axes.plot(curve.x, curve.y, **style)
