@@ -75,7 +75,7 @@ def exact(time: Reals) -> Reals:
 def run(bench: Bench) -> Findings:
     checks: list[Check] = []
     missed, curves = [], []
-    for steps in (25, 50, 100) if bench.quick else (100, 200, 400):
+    for steps in (18, 36, 72) if bench.quick else (100, 200, 400):
         time, away, speed = swing(bench, steps)
         near = [np.abs(time - k) < 0.15 for k in range(len(AMPLITUDES))]
         peaks = np.array([away[each][np.abs(away[each]).argmax()] for each in near])
