@@ -59,6 +59,14 @@ def test_a_damaged_scan_comes_back_whole(tmp_path):
     assert json.loads((tmp_path / "again.json").read_text())["changed"] == {}
 
 
+def test_a_loose_triangle_is_no_hole_to_fill(tmp_path):
+    """Nothing closes its border but itself; no larger N is advised then."""
+    path = tmp_path / "two.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 3 0 0\nv 4 0 0\nv 3 1 0\nf 1 2 3\nf 4 5 6\n")
+    left = mended(path, "--fill-holes", "3")[1]["left"][-1]
+    assert "2 border loops are open: 2 of 3 edges (up to 3 edges: each filling has" in left
+
+
 def test_holes_are_filled_only_when_asked(tmp_path):
     """A sphere without two patches, its holes as large as the cap that was there."""
     sphere = meshio.read(_stl(tmp_path))

@@ -208,8 +208,10 @@ def _fill(work: Repair, most: int) -> None:
     if holes:
         sizes = ", ".join(f"{often} of {edges} edges" for edges, often in sorted(holes.items())[:6])
         more = ", ..." if len(holes) > 6 else ""
-        work.left.append(f"{sum(holes.values())} border loops are open: {sizes}{more} (--fill-holes N closes those "
-                         "of N edges and fewer)")  # fmt: skip
+        told = "--fill-holes N closes those of N edges and fewer"
+        if any(edges <= min(most, LONGEST) for edges in holes):  # a loose triangle's border, say
+            told = f"up to {most} edges: each filling has an edge or a triangle that is there already"
+        work.left.append(f"{sum(holes.values())} border loops are open: {sizes}{more} ({told})")
     if not closed:
         return
     new = np.concatenate(closed)
