@@ -28,7 +28,7 @@ class Cascade:
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """See Method."""
-        outcome = Outcome(False, "", "no method")
+        outcome = Outcome(False, "")
         for method in self.methods:
             found = attempt(method, problem, y, tolerance)
             if not found.converged and not found.reason:

@@ -68,7 +68,7 @@ class Solver:
             self.first: Method = Sharpened(mixed, mixed) if options.first == "newton" else minimum
             first, nested = self._nested(self.first, minimum, options)
             self.near = Cascade([first])
-            self.all = Cascade([*nested, minimum])
+            self.rest = self.all = Cascade([*nested, minimum])
             # Where a level does not start from the next coarser one, neither will the finer ones.
             self.level: Method = Cascade(nested or [minimum])
 
@@ -96,10 +96,10 @@ class Solver:
         if options.first == "newton":
             first, nested = self._nested(first, fine, options)
             near = [first, *nested, tied]
-            if not contact.itself and (problem.moves or contact.moves):
-                # A cut costs another equilibrium, and nothing is off balance. Layers, though, take long to settle.
+            if problem.moves or contact.moves:
+                # A cut costs another equilibrium, and nothing is off balance.
                 near, later = [first, *later], [tied]
-        self.near = Cascade(near, self.off_saddle)
+        self.near, self.rest = Cascade(near, self.off_saddle), Cascade(later)
         self.level = self.all = Cascade([*near, *later], self.off_saddle)
 
     def _nested(self, first: Method, fine: Method, options: StaticsOptions) -> tuple[Method, list[Method]]:
@@ -120,7 +120,8 @@ class Solver:
 
     def solve(self, problem: Problem, y: PETSc.Vec, wanted: float, by: Method) -> Outcome:
         """y and what contact remembers end at the equilibrium with a norm under `wanted` (N), or where they were.
-        by: `near`, the methods that follow a branch; `all`; or `watched`, steps that do not lead through obstacles."""
+        by: `near`, the methods that follow a branch; `rest`, the others; `all`; or `watched`, steps that do not lead
+        through obstacles."""
         if not math.isfinite(wanted):
             return Outcome(False, "", "the loads are not finite")
         if not problem.contact:

@@ -82,6 +82,7 @@ class LoadPath:
         self.moving = problem.moves or bool(contact and contact.moves)
         self.went: PETSc.Vec | None = None  # the last load step's motion, over that much of the load
         self.over = 0.0
+        self.refused: dict[float, Outcome] = {}  # by where load steps from the last equilibrium were to end
 
     def follow(
         self, on_step: Progress | None, on_pause: Pause | None = None, found: Arrays | None = None
@@ -103,10 +104,12 @@ class LoadPath:
             start = self.problem.save(y)
             self.problem = problem = self.problem.at(control.target)
             self._guess()
-            done, outcome = self._solve(self.solver.all if control.last_resort else self.solver.near)
+            done, outcome = self._solve(self._methods())
             problem.unknowns_of(start).copy(path.state)
             if done is None:
                 path.blurred = self._blurred(outcome)
+                outcome = outcome if outcome.reason else self.refused.get(control.target, outcome)
+                self.refused[control.target] = outcome
                 problem.restore(y, start)  # from the guess, too, which went as far as the step
                 self.problem = problem.at(control.factor)
                 if not self._retry(outcome):
@@ -118,6 +121,7 @@ class LoadPath:
                 continue
             y.copy(path.state)
             path.blurred = None
+            self.refused.clear()
             path.steps.append(done)
             if on_step:
                 on_step(done, y)
@@ -201,6 +205,12 @@ class LoadPath:
         return not control.exhausted
 
     # ---- one load step ----
+
+    def _methods(self) -> Method:
+        """Those for the next try; as the last resort every one that has not failed on the same way."""
+        if not self.control.last_resort:
+            return self.solver.near
+        return self.solver.rest if self.control.target in self.refused else self.solver.all
 
     def _solve(self, by: Method, then: Method | None = None) -> tuple[LoadStep | None, Outcome]:
         """The equilibrium at the problem's load factor; no step where there is none. by: a method of the solver,
