@@ -143,6 +143,27 @@ def test_bad_files(change, message, tmp_path, capsys):
     assert len(said.strip().splitlines()) == 1
 
 
+def test_numbers_in_a_header_that_holds_none_are_refused(tmp_path):
+    """HDF5 1.10 reads a compact dataset from its header, however little is there, and crashes; scripts/fuzz found it."""
+    path = tmp_path / "problem.h5"
+    write_rows(path, *problem())
+    with h5py.File(path, "a") as file:
+        size = np.array([97, 89])
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_layout(h5py.h5d.COMPACT)
+        del file["W/shape"]
+        space = h5py.h5s.create_simple((2,))
+        made = h5py.h5d.create(file["W"].id, b"shape", h5py.h5t.NATIVE_INT64, space, plist)
+        made.write(h5py.h5s.ALL, h5py.h5s.ALL, size)
+    stored = (16).to_bytes(2, "little") + size.tobytes()
+    whole = path.read_bytes()
+    assert whole.count(stored) == 1
+    path.write_bytes(whole.replace(stored, bytes(2) + stored[2:]))
+    run = [sys.executable, "-m", "voile.cli", "friction", str(path), "-o", str(tmp_path / "out.h5")]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+
+
 def test_equality_constraints_and_outputs_that_cannot_be(tmp_path, capsys):
     from voile.cli import main
 

@@ -54,7 +54,8 @@ def read_problem(path: str | os.PathLike[str]) -> FrictionProblem:
                 raise InputError("fclib_global (bodies and contacts) is not read; only the local form is")
             return _read_rows(file)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        told = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: {told}") from error
     except Exception as error:  # h5py and scipy raise anything at a damaged file
         raise InputError(f"{path}: malformed problem: {' '.join(str(error).split())}") from error
 
