@@ -144,7 +144,7 @@ def test_bad_files(change, message, tmp_path, capsys):
 
 
 def test_numbers_in_a_header_that_holds_none_are_refused(tmp_path):
-    """HDF5 1.10 reads a compact dataset from its header, however little is there, and crashes; scripts/fuzz found it."""
+    """HDF5 1.10 reads a compact dataset from its header, however little is there, and crashes (scripts/fuzz)."""
     path = tmp_path / "problem.h5"
     write_rows(path, *problem())
     with h5py.File(path, "a") as file:
