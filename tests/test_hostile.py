@@ -4,10 +4,13 @@ import json
 import subprocess
 import sys
 
+import meshio
+import numpy as np
 import pytest
 from campaign_sources import SCENE as DYNAMICS
 from campaign_sources import STRIP, small_pattern
 
+from voile.mesh import read_mesh
 from voile.results import write_pattern
 
 NAMES = (
@@ -122,3 +125,13 @@ def test_loads_beyond_all_numbers_say_so_in_one_line(tmp_path, task, load):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
     assert done.returncode == 3 and done.stderr.count("\n") == 1, done.stderr
     assert done.stderr.startswith("voile: scene.toml: ")
+
+
+def test_a_child_looks_at_hdf5_meshes_first(tmp_path, monkeypatch):
+    """HDF5 itself crashes on some; what a child tells then is in tests/contact/test_friction_files.py."""
+    mesh = meshio.Mesh(np.eye(3), [("triangle", np.array([[0, 1, 2]]))])
+    meshio.write(tmp_path / "mesh.xdmf", mesh)
+    sent = []
+    monkeypatch.setattr("voile.mesh.guards.send_ahead", sent.append)
+    read_mesh(tmp_path / "mesh.xdmf")
+    assert sent == [tmp_path / "mesh.h5"]

@@ -1,6 +1,8 @@
 """Files that other people made, before meshio reads them: nothing of other files, and an end."""
 
 import contextlib
+import os
+import resource
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,6 +13,10 @@ from xml.etree import ElementTree
 from voile.errors import InputError
 
 PATIENCE, SPEED = 5.0, 1e5  # s, bytes/s: the slowest reader, of 3 MB of text a second, many times over
+
+LONG = 10  # s of the processor, for what takes HDF5 milliseconds
+SMALL = 1 << 16  # bytes: HDF5 keeps what is smaller among what describes it
+CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGXCPU)
 
 
 @contextlib.contextmanager
@@ -54,6 +60,7 @@ def refuse_references(path: Path) -> None:
     with open(path, "rb") as file:
         if file.read(8) != b"\x89HDF\r\n\x1a\n":
             return
+    send_ahead(path)
     import h5py
 
     def check(name: str, item: Any) -> None:
@@ -75,3 +82,32 @@ def refuse_references(path: Path) -> None:
         raise
     except Exception as error:  # h5py raises anything at a broken file
         raise InputError(f"{path}: cannot be read as a mesh: {' '.join(str(error).split())}") from error
+
+
+def send_ahead(path: Path) -> None:
+    """InputError for a file on which HDF5 crashes, or without end: a child looks at all that describes it first."""
+    child = os.fork()
+    if not child:
+        try:
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            resource.setrlimit(resource.RLIMIT_CPU, (LONG, LONG + 1))
+            for each in CRASHES:  # others' handlers would tell
+                signal.signal(each, signal.SIG_DFL)
+            _look_at_all(path)
+        finally:  # an exception comes again where it is told
+            os._exit(0)
+    if os.WIFSIGNALED(os.waitpid(child, 0)[1]):
+        raise InputError(f"{path}: damaged file: HDF5 crashes on it")
+
+
+def _look_at_all(path: Path) -> None:
+    import h5py
+
+    def look(_name: str, item: Any) -> None:
+        list(item.attrs.values())
+        if isinstance(item, h5py.Dataset) and item.size * item.dtype.itemsize <= SMALL:
+            item[()]
+
+    with h5py.File(path, "r", locking=False) as file:
+        look("", file)
+        file.visititems(look)

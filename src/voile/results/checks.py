@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import resource
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 
 from voile.arrays import Ints, Reals
 from voile.errors import InputError
+from voile.mesh.guards import send_ahead
 
 LARGEST = (
     1e30  # m, N, ...: numbers beyond have squares that single precision, which viewers use, does not hold
@@ -26,9 +25,6 @@ LARGEST = (
 HEAP = b"GCOL\x01\0\0\0"
 LOOKED_AT = 1 << 28  # bytes of a file: its strings come before its steps
 DEFLATES = 1032  # times at most, of data that deflate packs (zlib)
-PATIENCE = 10  # s of the processor, for what takes milliseconds
-SMALL = 1 << 16  # bytes: HDF5 keeps what is smaller among what describes it
-CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGXCPU)
 KINDS = {"numbers": "iufb", "indices": "iu", "reals": "f"}
 
 
@@ -50,37 +46,8 @@ def open_file(path: Path) -> Any:
     import h5py
 
     _check_strings(path)
-    _send_ahead(path)
+    send_ahead(path)
     return h5py.File(path, "r", locking=False)
-
-
-def _send_ahead(path: Path) -> None:
-    """InputError for a file on which HDF5 crashes, or without end: a child looks at all that describes it first."""
-    child = os.fork()
-    if not child:
-        try:
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, PATIENCE + 1))
-            for each in CRASHES:  # others' handlers would tell
-                signal.signal(each, signal.SIG_DFL)
-            _look_at_all(path)
-        finally:  # an exception comes again where it is told
-            os._exit(0)
-    if os.WIFSIGNALED(os.waitpid(child, 0)[1]):
-        raise InputError(f"{path}: damaged result file: HDF5 crashes on it")
-
-
-def _look_at_all(path: Path) -> None:
-    import h5py
-
-    def look(_name: str, item: Any) -> None:
-        list(item.attrs.values())
-        if isinstance(item, h5py.Dataset) and item.size * item.dtype.itemsize <= SMALL:
-            item[()]
-
-    with h5py.File(path, "r", locking=False) as file:
-        look("", file)
-        file.visititems(look)
 
 
 def _check_strings(path: Path) -> None:
