@@ -14,7 +14,7 @@ from voile.contact.candidates import Layers, near_along
 from voile.contact.contact import FREE, SLIP, STICK, Contact
 from voile.contact.interfaces import SelfContact
 from voile.contact.obstacles import Obstacle
-from voile.contact.pairs import margin
+from voile.contact.pairs import Pairs, margin
 from voile.problem.augmented import ImpenetrableLayers
 from voile.problem.problem import Problem
 from voile.problem.shell import Shell, seam_gaps
@@ -122,10 +122,13 @@ def contact_fields(problem: Problem, y: PETSc.Vec) -> dict[str, Array]:
     """At the local vertices: reaction (n, 3) N on the shell, gap (n,) m to the nearest obstacle or layer, where one is
     near, contact (n,): 0 free, 1 stick, 2 slip; and of Coulomb's cone: normal_reaction (n, 3) N along its axis,
     friction (n,) its coefficient, 0 without active contact, margin (n,) the share of friction's bound that is left."""
+    return _fields(problem, y, contact_of(problem).pairs(problem.positions(y), problem.time))
+
+
+def _fields(problem: Problem, y: PETSc.Vec, found: list[Pairs]) -> dict[str, Array]:
     contact, x, factor = contact_of(problem), problem.positions(y), problem.time
     n, along = len(x), np.zeros_like(x)
     state, friction, left = np.full(n, FREE), np.full(n, np.inf), np.ones(n)
-    found = contact.pairs(x, factor)
     for pairs in found:
         active = pairs.lam_n > 0.0
         kind = np.where(pairs.slips, SLIP, STICK)
@@ -158,13 +161,14 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
     (mismatch of the laws over the reactions' norm), self_contacts (pairs that touch), and of each obstacle name,
     vertices, force (N), moment about the origin (N m) on the shell and contact area (m^2, of the rest shape)."""
     contact, x, factor, comm = contact_of(problem), problem.positions(y), problem.time, problem.comm
-    fields = contact_fields(problem, y)
+    found = contact.pairs(x, factor)
+    fields = _fields(problem, y, found)
     state = fields["contact"][problem.own]
     counts = comm.allreduce(np.array([(state > FREE).sum(), (state == STICK).sum(), (state == SLIP).sum()]))
     inside = problem.own & contact.movable
     depth = comm.allreduce(abs(float(np.min(fields["gap"][inside], initial=0.0))), op=MPI.MAX)
     area = vertex_areas(problem)
-    totals, touching, found = np.zeros((len(contact.obstacles), 8)), 0, contact.pairs(x, factor)
+    totals, touching = np.zeros((len(contact.obstacles), 8)), 0
     for pairs in found:
         normal, friction = pairs.project()
         own = contact.counted(pairs) & (normal > 0.0)
