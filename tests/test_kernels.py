@@ -7,10 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from kernel_shell import Shell, each_model, irregular_mesh, rates, weave_of
 
+from voile import _kernels
 from voile.elastic import evaluate
 from voile.errors import InputError
+from voile.mesh.grids import grid
 from voile.mesh.topology import build_topology
 
 
@@ -266,3 +269,46 @@ def test_bad_input(changed, message):
     evaluate(**arguments)
     with pytest.raises(InputError, match=message.replace(".", r"\.")):
         evaluate(**{**arguments, **changed})
+
+
+@pytest.mark.parametrize("model", [("koiter", "tan", "stvk"), ("membrane", "tan", "neo-hookean")])
+def test_threads_change_no_digit_of_the_hessian(model):
+    """Each thread has rows of its own, and adds to them in the order of the triangles."""
+    rng = np.random.default_rng(3)
+    flat, triangles = grid(80, 70)
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    shell = Shell(model, points, triangles)
+    noise = 0.002 * rng.normal(size=shell.size)
+    noise[: points.size] += points.ravel()
+    state = shell.state(noise)
+    tied, between = 3 * 4000, (3 * 20, 3 * 5000)  # a vertex at the mean of two, one of another thread
+    matrix = sp.identity(shell.size, format="lil")
+    for axis in range(3):
+        matrix[tied + axis, tied + axis] = 0.0
+        matrix[tied + axis, [vertex + axis for vertex in between]] = 0.5
+    constraint = matrix.tocsr()
+    constraint.eliminate_zeros()
+    dofs = points.size + len(shell.topology.edges)
+    start = np.r_[constraint.indptr, np.full(dofs - shell.size, constraint.nnz)].astype(np.int32)
+    found = []
+    for threads in (1, 2, 5):
+        scatter = _kernels.Scatter(
+            shell.kernel,
+            shell.kernel.directors,
+            shell.size,
+            start,
+            constraint.indices,
+            constraint.data,
+            threads,
+        )
+        row, column = scatter.pattern(np.arange(shell.size))
+        row, values = row.astype(np.int32), np.full(len(column), np.nan)
+        none, nothing = np.zeros(0, dtype=np.int32), np.zeros(0)
+        scatter.bind(row, column, values, none, none, nothing, none)
+        shell.kernel.hessian(*state, "safe", scatter)
+        found.append(values)
+    full = shell.hessian(noise, "safe")
+    expected = constraint.T @ full @ constraint
+    error = sp.csr_matrix((found[0], column, row), shape=expected.shape) - expected
+    assert abs(error).max() < 1e-13 * abs(expected).max()
+    assert (found[0] == found[1]).all() and (found[0] == found[2]).all()

@@ -272,5 +272,17 @@ inline void project_positive(Real h[21]) {
     }
 }
 
+// A share of the derivatives of W without negative curvature, the rest exact.
+template <int N>
+inline void make_safe(const Vec3 e[3], double share, Jet& jet, Real tension[3]) {
+  const Jet exact = jet;
+  const Real safe = share, rest = 1.0 - share;
+  project_positive<N>(jet.h);
+  tensile(e, tension);
+  if (share == 1.0) return;
+  for (int i = 0; i < 21; ++i) jet.h[i] = safe * jet.h[i] + rest * exact.h[i];
+  for (int i = 0; i < 3; ++i) tension[i] = safe * tension[i] + rest * exact.g[i];
+}
+
 }  // namespace VOILE_ISA
 }  // namespace voile

@@ -23,7 +23,8 @@ class Definite {
   const double* panels() const { return l.data(); }
 
  private:
-  void add(const Front& child, const double* update, const Front& parent, double* panel, double* sum) const;
+  void add(const Front& child, const double* update, int from, int to, const Front& parent, double* panel,
+           double* sum) const;
 
   std::shared_ptr<Fronts> fronts;
   std::vector<double> l;

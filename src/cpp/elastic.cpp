@@ -2,12 +2,14 @@
 #include "elastic.hpp"
 
 #include <map>
+#include <optional>
 #include <stdexcept>
 #include <string>
 
 #include "assembly.hpp"
 #include "folds.hpp"
 #include "sensitivities.hpp"
+#include "team.hpp"
 
 namespace voile {
 inline namespace VOILE_ISA {
@@ -108,6 +110,31 @@ class ElasticModel final : public Elastic {
       evaluate_biot<Model, order>(quadratic[b], w, jet);
     else
       evaluate_automatic<Model, order>(rest[b], w.q, w.over, jet);
+  }
+
+  // Upper blocks of the Hessians of a block's triangles.
+  void block_hessian(size_t b, State state, Hessian kind, double share, Real* out) const {
+    const bool safe = kind == Hessian::safe, mixed = kind == Hessian::mixed;
+    const Real exact = safe ? 1.0 - share : 1.0;
+    const Block& block = blocks[b];
+    Jet jet;
+    Local w = local(block, state);
+    evaluate<2>(b, w, jet);
+    Real tension[3];
+    for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
+    if (safe) make_safe<Model::bends ? 6 : 3>(w.t.e, share, jet, tension);
+    std::optional<FoldHessian> folds;
+    if constexpr (Model::bends)
+      if (!safe || share < 1.0) {
+        Real own[3], other[3];
+        for (int i = 0; i < 3; ++i) {
+          Real moment = mixed ? at_half(block, predicted_moment, i) : exact * jet.g[3 + i];
+          own[i] = w.own[i] * moment, other[i] = w.other[i] * moment;
+          if (!turn_weight.empty()) own[i] += exact * at_half(block, turn_weight, i);
+        }
+        folds.emplace(w, own, other);
+      }
+    fill_blocks<Model>(block, w, jet.h, tension, folds ? &*folds : nullptr, out);
   }
 
  public:
@@ -211,47 +238,21 @@ class ElasticModel final : public Elastic {
   }
 
   void hessian(State state, Hessian kind, double share, Scatter& scatter) override {
-    const bool safe = kind == Hessian::safe, mixed = kind == Hessian::mixed,
-               folds_count = !safe || share < 1.0;
-    const Real part = share, rest = safe ? 1.0 - share : 1.0;
-    if (mixed && predicted_tension.empty()) throw std::logic_error("hessian: nothing was predicted");
+    if (kind == Hessian::mixed && predicted_tension.empty())
+      throw std::logic_error("hessian: nothing was predicted");
     scatter.clear();
-    Jet jet;
-    alignas(64) Real out[BLOCKS_LENGTH];
-    std::fill(out, out + BLOCKS_LENGTH, Real(0.0));
-    for (size_t b = 0; b < blocks.size(); ++b) {
-      const Block& block = blocks[b];
-      for (int lane = 0; lane < block.count; ++lane) scatter.open(block.first + lane);
-      Local w = local(block, state);
-      evaluate<2>(b, w, jet);
-      Real tension[3];
-      for (int i = 0; i < 3; ++i) tension[i] = mixed ? at_half(block, predicted_tension, i) : jet.g[i];
-      if (safe) {
-        const Jet exact = jet;
-        project_positive<Model::bends ? 6 : 3>(jet.h);
-        tensile(w.t.e, tension);
-        for (int i = 0; i < 21 && share < 1.0; ++i) jet.h[i] = part * jet.h[i] + rest * exact.h[i];
-        for (int i = 0; i < 3 && share < 1.0; ++i) tension[i] = part * tension[i] + rest * exact.g[i];
+    Team(scatter.parts).share(scatter.parts, [&](int mine) {
+      alignas(64) Real out[BLOCKS_LENGTH];
+      std::fill(out, out + BLOCKS_LENGTH, Real(0.0));
+      for (size_t b = 0; b < blocks.size(); ++b) {
+        const int first = blocks[b].first, end = first + blocks[b].count;
+        if (!scatter.visits(mine, first, end)) continue;
+        for (int t = first; t < end; ++t) scatter.open(t, mine);
+        block_hessian(b, state, kind, share, out);
+        for (int t = first; t < end; ++t)
+          scatter.add<LANES>(t, reinterpret_cast<const double*>(out), t - first, mine);
       }
-      if constexpr (Model::bends) {
-        if (folds_count) {
-          Real own[3], other[3];
-          for (int i = 0; i < 3; ++i) {
-            Real moment = mixed ? at_half(block, predicted_moment, i) : rest * jet.g[3 + i];
-            own[i] = w.own[i] * moment, other[i] = w.other[i] * moment;
-            if (!turn_weight.empty()) own[i] += rest * at_half(block, turn_weight, i);
-          }
-          FoldHessian folds(w, own, other);
-          fill_blocks<Model>(block, w, jet.h, tension, &folds, out);
-        } else {
-          fill_blocks<Model>(block, w, jet.h, tension, nullptr, out);
-        }
-      } else {
-        fill_blocks<Model>(block, w, jet.h, tension, nullptr, out);
-      }
-      for (int lane = 0; lane < block.count; ++lane)
-        scatter.add<LANES>(block.first + lane, reinterpret_cast<const double*>(out), lane);
-    }
+    });
   }
 
   void predict(State state, State direction) override {

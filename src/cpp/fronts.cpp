@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <future>
 #include <numeric>
 #include <stdexcept>
 #include <string>
@@ -14,14 +13,16 @@ namespace {
 // Operations of a factor from which METIS' ordering is tried, too. It takes as long as 3 to 4 factors, and
 // saves 2 per cent at 4e7 (2,560 unknowns), 30 at 3e9 (31,700).
 constexpr double LARGE = 1e8;
-// Operations from which a second thread is started, which takes some 0.1 ms: 5 ms of one. Subtrees cut off
-// for each.
+// Operations from which a second thread is started, which takes some 0.2 ms: 5 ms of one. Subtrees cut off
+// for each. What a thread is worth in a front that threads share.
 constexpr double WORTH = 1e8;
 constexpr int CUTS = 16;
+constexpr double SHARED = 0.8;
 
 }  // namespace
 
-Fronts::Fronts(int size, const int32_t* start, const int32_t* column, int threads) : given(start[size]) {
+Fronts::Fronts(int size, const int32_t* start, const int32_t* column, int most)
+    : given(start[size]), threads(most) {
   cholmod_start(&common);
   common.print = 0;
   common.nmethods = 1;
@@ -68,7 +69,7 @@ Fronts::Fronts(int size, const int32_t* start, const int32_t* column, int thread
     }
     f.sibling = std::exchange(all[f.parent].child, k);
   }
-  share(threads);
+  share();
   stack();
   take(start, column);
 }
@@ -114,14 +115,13 @@ void Fronts::take(const int32_t* start, const int32_t* column) {
 
 // Subtrees in lanes of about the same work, the fronts above them last: of all ways to cut off the heaviest
 // subtree's root the one that ends first.
-void Fronts::share(int threads) {
+void Fronts::share() {
   const int count = (int)all.size();
   std::vector<double> work(count);  // operations of a subtree
   std::vector<int> trees;
   double total = 0.0, above = 0.0;
   for (int k = 0; k < count; ++k) {
-    const double w = all[k].width, h = all[k].height;
-    work[k] += w * (h * h - h * w + w * w / 3.0);
+    work[k] += all[k].work();
     if (all[k].parent >= 0) {
       work[all[k].parent] += work[k];
     } else {
@@ -146,8 +146,8 @@ void Fronts::share(int threads) {
     if (ends < least) least = ends, best = lane, used = threads;
     const int root = trees.front();
     trees.erase(trees.begin());
-    above += work[root];
-    for (int c = all[root].child; c >= 0; c = all[c].sibling) trees.push_back(c), above -= work[c];
+    above += all[root].work() / (all[root].shared() ? SHARED * threads : 1.0);
+    for (int c = all[root].child; c >= 0; c = all[c].sibling) trees.push_back(c);
   }
   lanes.resize(used == 1 ? 1 : used + 1);
   for (int k = count - 1; k >= 0; --k) {  // parents first
@@ -171,23 +171,23 @@ void Fronts::stack() {
   for (size_t lane = 0; lane < lanes.size(); ++lane) stacks[lane].resize(most[lane]);
 }
 
-bool Fronts::run(const std::function<bool(const Front&, double*)>& eliminate) {
+bool Fronts::run(const Eliminate& eliminate) {
   broken = false;
-  std::vector<std::future<void>> others;  // where the system has no thread left, `get` runs it
-  for (size_t lane = 1; lane + 1 < lanes.size(); ++lane)
-    others.push_back(std::async([&, lane] { run((int)lane, eliminate); }));
-  run(0, eliminate);
-  for (auto& other : others) other.get();
-  if (lanes.size() > 1) run((int)lanes.size() - 1, eliminate);
+  Team team(subtrees());
+  team.share(subtrees(), [&](int lane) {
+    Team alone(1);
+    run(lane, alone, eliminate);
+  });
+  if (lanes.size() > 1) run(subtrees(), team, eliminate);
   return !broken;
 }
 
-void Fronts::run(int lane, const std::function<bool(const Front&, double*)>& eliminate) {
+void Fronts::run(int lane, Team& team, const Eliminate& eliminate) {
   double* top = stacks[lane].data();
   for (int k : lanes[lane]) {
     if (broken) return;
     const Front& f = all[k];
-    if (!eliminate(f, top)) broken = true;
+    if (!eliminate(f, top, team)) broken = true;
     const double* sum = top;  // above those of its children
     for (int c = f.child; c >= 0; c = all[c].sibling)
       if (all[c].lane == lane) top = sums[c];

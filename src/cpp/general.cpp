@@ -17,7 +17,7 @@ General::General(std::shared_ptr<Fronts> by)
     : fronts(std::move(by)), l(fronts->panels() + fronts->across), pivots(fronts->size()), sweeps(*fronts) {}
 
 bool General::factor(const double* value) {
-  return fronts->run([&](const Front& f, double* sum) {
+  return fronts->run([&](const Front& f, double* sum, Team& team) {
     double *panel = l.data() + f.panel, *across = l.data() + fronts->panels() + f.across;
     std::memset(panel, 0, sizeof(double) * f.width * f.height);
     std::memset(across, 0, sizeof(double) * f.width * f.below());
@@ -28,29 +28,34 @@ bool General::factor(const double* value) {
                          : across[(size_t)k * f.below() + e.row - f.width]) = value[e.upper];
       }
     std::memset(sum, 0, sizeof(double) * f.adds());
-    for (int c = f.child; c >= 0; c = fronts->all[c].sibling) add(fronts->all[c], fronts->added(c), f, sum);
-    return eliminate(f, sum);
+    for (int c = f.child; c >= 0; c = fronts->all[c].sibling)
+      team.split(fronts->all[c].below(), f.piece(),
+                 [&](int from, int to) { add(fronts->all[c], fronts->added(c), from, to, f, sum); });
+    return eliminate(f, sum, team);
   });
 }
 
-void General::add(const Front& child, const double* update, const Front& parent, double* sum) {
+// Columns of what a child adds.
+void General::add(const Front& child, const double* update, int from, int to, const Front& parent,
+                  double* sum) {
   const int rows = child.below(), below = parent.below(), width = parent.width;
-  const int32_t *to = fronts->place.data() + child.into, *beyond = std::lower_bound(to, to + rows, width);
-  const int own = (int)(beyond - to);
+  const int32_t* place = fronts->place.data() + child.into;
+  const int own = (int)(std::lower_bound(place, place + rows, width) - place);
   double* across = l.data() + fronts->panels() + parent.across;
-  for (int j = 0; j < rows; ++j, update += rows) {
+  update += (size_t)from * rows;
+  for (int j = from; j < to; ++j, update += rows) {
     if (j < own) {
-      double* column = l.data() + parent.panel + (size_t)to[j] * parent.height;
-      for (int i = 0; i < rows; ++i) column[to[i]] += update[i];
+      double* column = l.data() + parent.panel + (size_t)place[j] * parent.height;
+      for (int i = 0; i < rows; ++i) column[place[i]] += update[i];
       continue;
     }
-    double *row = across + to[j] - width, *column = sum + (size_t)(to[j] - width) * below - width;
-    for (int i = 0; i < own; ++i) row[(size_t)to[i] * below] += update[i];
-    for (int i = own; i < rows; ++i) column[to[i]] += update[i];
+    double *row = across + place[j] - width, *column = sum + (size_t)(place[j] - width) * below - width;
+    for (int i = 0; i < own; ++i) row[(size_t)place[i] * below] += update[i];
+    for (int i = own; i < rows; ++i) column[place[i]] += update[i];
   }
 }
 
-bool General::eliminate(const Front& f, double* sum) {
+bool General::eliminate(const Front& f, double* sum, Team& team) {
   double *panel = l.data() + f.panel, *under = panel + f.width;
   double* across = l.data() + fronts->panels() + f.across;
   int *pivot = pivots.data() + f.first, info;
@@ -63,21 +68,29 @@ bool General::eliminate(const Front& f, double* sum) {
       double* one = across + (size_t)k * below;
       std::swap_ranges(one, one + below, across + (size_t)(pivot[k] - 1) * below);
     }
-  dtrsm_("R", "L", "T", "U", &below, &f.width, &PLUS, panel, &f.height, across, &below);
-  dtrsm_("R", "U", "N", "N", &below, &f.width, &PLUS, panel, &f.height, under, &f.height);
-  dgemm_("N", "T", &below, &below, &f.width, &MINUS, under, &f.height, across, &below, &PLUS, sum, &below);
+  team.split(below, f.piece(), [&](int from, int to) {
+    const int rows = to - from;
+    dtrsm_("R", "L", "T", "U", &rows, &f.width, &PLUS, panel, &f.height, across + from, &below);
+    dtrsm_("R", "U", "N", "N", &rows, &f.width, &PLUS, panel, &f.height, under + from, &f.height);
+  });
+  team.split(below, f.piece(), [&](int from, int to) {
+    const int columns = to - from;
+    dgemm_("N", "T", &below, &columns, &f.width, &MINUS, under, &f.height, across + from, &below, &PLUS,
+           sum + (size_t)from * below, &below);
+  });
   return true;
 }
 
 void General::solve(const double* b, double* x, int sides, bool transposed) {
   const Triangle lower{l.data(), nullptr, "L", "U"}, upper{l.data(), l.data() + fronts->panels(), "U", "N"};
+  Team team(fronts->sweepers());
   sweeps.take(b, sides);
   if (transposed) {
-    sweeps.forward(upper);
-    sweeps.backward(lower, pivots.data());
+    sweeps.forward(team, upper);
+    sweeps.backward(team, lower, pivots.data());
   } else {
-    sweeps.forward(lower, pivots.data());
-    sweeps.backward(upper);
+    sweeps.forward(team, lower, pivots.data());
+    sweeps.backward(team, upper);
   }
   sweeps.give(x);
 }

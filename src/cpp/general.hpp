@@ -23,8 +23,8 @@ class General {
   const Fronts& by() const { return *fronts; }
 
  private:
-  void add(const Front& child, const double* update, const Front& parent, double* sum);
-  bool eliminate(const Front& f, double* sum);
+  void add(const Front& child, const double* update, int from, int to, const Front& parent, double* sum);
+  bool eliminate(const Front& f, double* sum, Team& team);
 
   std::shared_ptr<Fronts> fronts;
   std::vector<double> l;    // panels: L and, in their squares, U; after them U's rows beyond, transposed

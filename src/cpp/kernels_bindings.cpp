@@ -194,14 +194,17 @@ static void bind_model(nb::module_& m) {
 
 static void bind_scatter(nb::module_& m) {
   nb::class_<Scatter>(m, "Scatter")
-      .def("__init__",
-           [](Scatter* self, Model& model, bool edges, int owned, Ints start, Ints unknown, Doubles weight) {
-             sized(start, 3 * (size_t)model.mesh.vertices + model.mesh.edges + 1, "constraint rows");
-             sized(weight, unknown.size(), "constraint weights");
-             Mesh mesh = model.mesh;
-             if (!model.elastic->bends()) std::fill(mesh.across.begin(), mesh.across.end(), -1);  // no hinges
-             new (self) Scatter(mesh, edges, owned, copied(start), copied(unknown), copied(weight));
-           })
+      .def(
+          "__init__",
+          [](Scatter* self, Model& model, bool edges, int owned, Ints start, Ints unknown, Doubles weight,
+             int threads) {
+            sized(start, 3 * (size_t)model.mesh.vertices + model.mesh.edges + 1, "constraint rows");
+            sized(weight, unknown.size(), "constraint weights");
+            Mesh mesh = model.mesh;
+            if (!model.elastic->bends()) std::fill(mesh.across.begin(), mesh.across.end(), -1);  // no hinges
+            new (self) Scatter(mesh, edges, owned, copied(start), copied(unknown), copied(weight), threads);
+          },
+          "model"_a, "edges"_a, "owned"_a, "start"_a, "unknown"_a, "weight"_a, "threads"_a = 1)
       .def_rw("adding", &Scatter::adding)
       .def("pattern",
            [](Scatter& s, Longs rank) {

@@ -4,9 +4,14 @@
 #include <cstring>
 
 namespace voile {
+namespace {
+
+constexpr int WORTH = 2500;  // triangles of a thread, which take 1 ms, five times as long as its start
+
+}  // namespace
 
 Scatter::Scatter(const Mesh& mesh, bool with_edges, int owned_unknowns, std::vector<int> c_start,
-                 std::vector<int> c_unknown, std::vector<double> c_weight)
+                 std::vector<int> c_unknown, std::vector<double> c_weight, int threads)
     : owned(owned_unknowns),
       nodes(with_edges ? NODES : 6),
       dof_start(std::move(c_start)),
@@ -14,6 +19,8 @@ Scatter::Scatter(const Mesh& mesh, bool with_edges, int owned_unknowns, std::vec
       dof_weight(std::move(c_weight)),
       vertices(mesh.vertices) {
   int m = mesh.triangles;
+  parts = std::clamp(m / WORTH, 1, std::clamp(threads, 1, 8));
+  run = ((m + parts - 1) / parts + 15) / 16 * 16;  // whole blocks of the kernels
   triangle_node.assign((size_t)NODES * m, -1);
   for (int t = 0; t < m; ++t)
     for (int i = 0; i < 3; ++i) {
@@ -141,8 +148,10 @@ void Scatter::bind(Rows inside_rows, Rows outside_rows, std::vector<int> ghost_c
 // Runs of rows in the order of first touch; behind the last triangle's those that no triangle touches.
 void Scatter::order_rows() {
   int m = count();
-  std::vector<char> touched(owned, 0);
+  std::vector<char> seen(owned, 0);
   std::vector<int> rows;
+  part.assign(owned, 0);
+  touched.assign(m, 0);
   auto close = [&] {
     std::sort(rows.begin(), rows.end());
     for (size_t k = 0; k < rows.size(); ++k) {
@@ -158,26 +167,32 @@ void Scatter::order_rows() {
       int dof = triangle_dof(t, k);
       for (int at = dof < 0 ? 0 : dof_start[dof]; dof >= 0 && at < dof_start[dof + 1]; ++at) {
         int row = dof_unknown[at];
-        if (row >= owned || touched[row]) continue;
-        touched[row] = 1;
-        rows.push_back(row);
+        if (row >= owned) continue;
+        if (!seen[row]) {
+          seen[row] = 1;
+          part[row] = (uint8_t)(t / run);
+          rows.push_back(row);
+        }
+        touched[t] |= (uint8_t)(1 << part[row]);
       }
     }
     close();
   }
   for (int row = 0; row < owned; ++row)
-    if (!touched[row]) rows.push_back(row);
+    if (!seen[row]) rows.push_back(row);
   close();
 }
 
-void Scatter::zero(int begin, int end) {
+void Scatter::zero_fresh(int t) {
   if (adding) return;
-  for (const Rows& rows : {inside, outside})
-    if (rows.start)
-      std::memset(rows.value + rows.start[begin], 0, sizeof(double) * (rows.start[end] - rows.start[begin]));
+  for (int k = fresh_start[t]; k < fresh_start[t + 1]; k += 2)
+    for (const Rows& rows : {inside, outside})
+      if (rows.start)
+        std::memset(rows.value + rows.start[fresh[k]], 0,
+                    sizeof(double) * (rows.start[fresh[k + 1]] - rows.start[fresh[k]]));
 }
 
-void Scatter::clear() { open(count()); }
+void Scatter::clear() { zero_fresh(count()); }
 
 void Scatter::add_vertex(int vertex, const double* block) {
   for (int i = 0; i < 3; ++i)
@@ -191,13 +206,13 @@ void Scatter::add_vertex(int vertex, const double* block) {
 }
 
 template <class Entry>
-void Scatter::expand(int t, int dofs, Entry entry) {
+void Scatter::expand(int t, int dofs, int mine, Entry entry) {
   for (int i = 0; i < dofs; ++i) {
     int row_dof = triangle_dof(t, i);
     if (row_dof < 0) continue;
     for (int p = dof_start[row_dof]; p < dof_start[row_dof + 1]; ++p) {
       int row = dof_unknown[p];
-      if (row >= owned) continue;
+      if (!has(row, mine)) continue;
       for (int j = 0; j < dofs; ++j) {
         int column_dof = triangle_dof(t, j);
         if (column_dof < 0) continue;
@@ -211,7 +226,7 @@ void Scatter::expand(int t, int dofs, Entry entry) {
 void Scatter::add_square(int t, const double* block) {
   int dofs = nodes == NODES ? DOFS : 18;
   if (!plain[t]) {
-    expand(t, dofs, [block](int i, int j) { return block[DOFS * i + j]; });
+    expand(t, dofs, ALL, [block](int i, int j) { return block[DOFS * i + j]; });
     return;
   }
   const int* node = &triangle_node[(size_t)NODES * t];
@@ -238,8 +253,8 @@ double& Scatter::at(int row, int unknown) {
   return target.value[target.start[row] + (place >= 0 ? place : ~place)];
 }
 
-void Scatter::add_expanded(int t, const double* block) {
-  expand(t, nodes == NODES ? DOFS : 18, [block](int i, int j) {
+void Scatter::add_expanded(int t, const double* block, int mine) {
+  expand(t, nodes == NODES ? DOFS : 18, mine, [block](int i, int j) {
     int a = i < 18 ? i / 3 : i - 12, b = j < 18 ? j / 3 : j - 12;
     int r = i - node_dof(a), c = j - node_dof(b);
     return a <= b ? block[BLOCKS.start[a][b] + r * node_size(b) + c]

@@ -7,6 +7,7 @@
 // others expand C.
 #pragma once
 
+#include <algorithm>
 #include <climits>
 #include <cstdint>
 #include <stdexcept>
@@ -19,6 +20,7 @@ namespace voile {
 constexpr int NODES = 9;  // three corners, three vertices across the edges, three edges
 constexpr int DOFS = 21;
 constexpr int ABSENT = INT_MIN;
+constexpr int ALL = -1;  // parts
 
 // First local degree of freedom of a node's place in a triangle, and the number of them.
 constexpr int node_dof(int a) { return a < 6 ? 3 * a : 12 + a; }
@@ -63,13 +65,18 @@ struct Scatter {
   std::vector<char> plain;    // per triangle
   std::vector<int> position;  // per triangle nodes*nodes places
   std::vector<int> fresh_start,
-      fresh;                      // per triangle: runs of rows (begin, end) that it is the first to touch
+      fresh;  // per triangle: runs of rows (begin, end) that it is the first to touch
+  // Threads share out the rows of a fresh assembly: each takes a run of triangles, and the rows that these
+  // are the first to touch. So all entries are summed in the order of the triangles, whatever the threads.
+  int parts = 1, run = INT_MAX;   // how many, and the triangles of each
+  std::vector<uint8_t> part;      // of rows
+  std::vector<uint8_t> touched;   // per triangle: parts whose rows it touches, a bit each
   std::vector<int> ghost_column;  // local unknown - owned -> column of the off-rank part
   Rows inside, outside;           // columns of this rank, and of the others
   bool adding = false;            // a fresh assembly adds to the values there
 
   Scatter(const Mesh& mesh, bool with_edges, int owned_unknowns, std::vector<int> c_start,
-          std::vector<int> c_unknown, std::vector<double> c_weight);
+          std::vector<int> c_unknown, std::vector<double> c_weight, int threads);
 
   // Pattern of the owned rows in local unknowns, sorted by rank[unknown] (the global number).
   void pattern(const int64_t* rank, std::vector<int64_t>& start, std::vector<int>& column) const;
@@ -78,8 +85,13 @@ struct Scatter {
   // then in the cache when they are added to; clear() zeroes those that no triangle touches.
   void clear();
   int count() const { return (int)(triangle_node.size() / NODES); }  // triangles
-  void open(int t) {
-    for (int k = fresh_start[t]; k < fresh_start[t + 1]; k += 2) zero(fresh[k], fresh[k + 1]);
+  // Whether one of these triangles has rows of a part.
+  bool visits(int mine, int begin, int end) const {
+    return std::any_of(touched.begin() + begin, touched.begin() + end,
+                       [mine](uint8_t bits) { return bits >> mine & 1; });
+  }
+  void open(int t, int mine = ALL) {
+    if (mine == ALL || t / run == mine) zero_fresh(t);
   }
 
   // Adds a 3x3 block (row-major, any) to the degrees of freedom of one vertex; part of every pattern.
@@ -88,21 +100,21 @@ struct Scatter {
   // Adds a DOFS x DOFS block (row-major, not symmetric) to triangle t's degrees of freedom.
   void add_square(int t, const double* block);
 
-  // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles: the upper blocks of triangle t's
-  // Hessian.
+  // Adds lane `lane` of a buffer of BLOCKS_LENGTH packs of L doubles, the upper blocks of triangle t's
+  // Hessian, to the rows of a part.
   template <int L>
-  void add(int t, const double* buffer, int lane) {
+  void add(int t, const double* buffer, int lane, int mine = ALL) {
     if (!plain[t]) {
       double block[BLOCKS_LENGTH];
       for (int k = 0; k < BLOCKS_LENGTH; ++k) block[k] = buffer[k * L + lane];
-      add_expanded(t, block);
+      add_expanded(t, block, mine);
       return;
     }
     const int* node = &triangle_node[(size_t)NODES * t];
     const int* place = &position[(size_t)nodes * nodes * t];
     for (int a = 0; a < nodes; ++a, place += nodes) {
       int row = node[a] < 0 ? -1 : first[node[a]];
-      if (row < 0 || row >= owned) continue;
+      if (row < 0 || !has(row, mine)) continue;
       if (a < 6)
         add_rows<L, 3>(a, row, place, buffer + lane);
       else
@@ -137,12 +149,13 @@ struct Scatter {
     for (int r = 0; r < R; ++r)
       for (int c = 0; c < C; ++c) rows[r][at + c] = v[r][c];
   }
-  void zero(int begin, int end);
+  bool has(int row, int mine) const { return row < owned && (mine == ALL || part[row] == mine); }
+  void zero_fresh(int t);
   void order_rows();
-  void add_expanded(int t, const double* block);
+  void add_expanded(int t, const double* block, int mine);
   // Adds entry(i, j) of the triangle's degrees of freedom through C.
   template <class Entry>
-  void expand(int t, int dofs, Entry entry);
+  void expand(int t, int dofs, int mine, Entry entry);
   double& at(int row, int unknown);
   int find(int row, int unknown) const;  // place in the row as in position, ABSENT if not there
   int triangle_dof(int t, int k) const;  // global dof of the triangle's k-th, -1 absent

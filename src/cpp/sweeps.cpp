@@ -32,15 +32,13 @@ void subtract(const char* op, int m, int n, int sides, const double* a, int rows
 
 }  // namespace
 
-Sweeps::Sweeps(const Fronts& of) : fronts(of) {
-  for (const Front& f : of.all) most = std::max(most, f.below());
-}
+Sweeps::Sweeps(const Fronts& of) : fronts(of) {}
 
 void Sweeps::take(const double* b, int many) {
   const int n = fronts.size();
   sides = many;
   x.resize((size_t)n * sides);
-  beyond.resize((size_t)most * sides);
+  beyond.resize(fronts.place.size() * sides);
   for (int i = 0; i < n; ++i)
     for (int k = 0; k < sides; ++k) x[i + (size_t)k * n] = b[(size_t)fronts.order()[i] * sides + k];
 }
@@ -57,45 +55,52 @@ std::pair<const double*, int> Sweeps::outside(const Triangle& by, const Front& f
                    : std::pair(by.panels + f.panel + f.width, f.height);
 }
 
-// Between x's rows beyond a front's own and `beyond`.
+// Between the rows beyond a front's own and theirs in its parent.
 template <class Move>
-void Sweeps::each_beyond(const Front& f, const Move& move) {
+void Sweeps::each_rest(const Front& child, const Move& move) {
+  const Front& parent = fronts.all[child.parent];
+  const int32_t* place = fronts.place.data() + child.into;
+  const int rows = child.below(), own = (int)(std::lower_bound(place, place + rows, parent.width) - place);
   for (int k = 0; k < sides; ++k) {
-    double *there = x.data() + (size_t)k * fronts.size(), *here = beyond.data() + (size_t)k * f.below();
-    for (int i = f.width; i < f.height; ++i) move(there[f.rows[i]], *here++);
+    double* here = rest(child) + (size_t)k * rows;
+    double* there = x.data() + (size_t)k * fronts.size() + parent.first;
+    double* further = rest(parent) + (size_t)k * parent.below() - parent.width;
+    for (int i = 0; i < own; ++i) move(there[place[i]], here[i]);
+    for (int i = own; i < rows; ++i) move(further[place[i]], here[i]);
   }
 }
 
-void Sweeps::forward(const Triangle& by, const int* pivots) {
+void Sweeps::forward(Team& team, const Triangle& by, const int* pivots) {
   const int n = fronts.size();
-  for (const Front& f : fronts.all) {
+  fronts.upwards(team, [&](const Front& f) {
     const int below = f.below();
-    double* own = x.data() + f.first;
+    double *own = x.data() + f.first, *rest = this->rest(f);
+    std::fill(rest, rest + (size_t)below * sides, 0.0);
+    for (int c = f.child; c >= 0; c = fronts.all[c].sibling)
+      each_rest(fronts.all[c], [](double& there, double here) { there += here; });
     if (pivots) dlaswp_(&sides, own, &n, &ONE, &f.width, pivots + f.first, &ONE);
     divide(by.kind, *by.kind == 'L' ? "N" : "T", by.diagonal, f.width, sides, by.panels + f.panel, f.height,
            own, n);
-    if (!below) continue;
+    if (!below) return;
     const auto [a, rows] = outside(by, f);
-    each_beyond(f, [](double there, double& here) { here = there; });
-    subtract("N", below, f.width, sides, a, rows, own, n, beyond.data(), below);
-    each_beyond(f, [](double& there, double here) { there = here; });
-  }
+    subtract("N", below, f.width, sides, a, rows, own, n, rest, below);
+  });
 }
 
-void Sweeps::backward(const Triangle& by, const int* pivots) {
+void Sweeps::backward(Team& team, const Triangle& by, const int* pivots) {
   const int n = fronts.size(), back = -1;
-  for (auto f = fronts.all.rbegin(); f != fronts.all.rend(); ++f) {
-    const int below = f->below();
-    double* own = x.data() + f->first;
+  fronts.downwards(team, [&](const Front& f) {
+    const int below = f.below();
+    double* own = x.data() + f.first;
     if (below) {
-      const auto [a, rows] = outside(by, *f);
-      each_beyond(*f, [](double there, double& here) { here = there; });
-      subtract("T", below, f->width, sides, a, rows, beyond.data(), below, own, n);
+      const auto [a, rows] = outside(by, f);
+      each_rest(f, [](double there, double& here) { here = there; });
+      subtract("T", below, f.width, sides, a, rows, rest(f), below, own, n);
     }
-    divide(by.kind, *by.kind == 'L' ? "T" : "N", by.diagonal, f->width, sides, by.panels + f->panel,
-           f->height, own, n);
-    if (pivots) dlaswp_(&sides, own, &n, &ONE, &f->width, pivots + f->first, &back);
-  }
+    divide(by.kind, *by.kind == 'L' ? "T" : "N", by.diagonal, f.width, sides, by.panels + f.panel, f.height,
+           own, n);
+    if (pivots) dlaswp_(&sides, own, &n, &ONE, &f.width, pivots + f.first, &back);
+  });
 }
 
 }  // namespace voile

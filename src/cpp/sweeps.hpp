@@ -21,20 +21,21 @@ class Sweeps {
   // Takes right-hand sides b (size, sides), by rows.
   void take(const double* b, int sides);
   // Solves with L, whose rows pivots swap within their fronts, or with U^T.
-  void forward(const Triangle& by, const int* pivots = nullptr);
+  void forward(Team& team, const Triangle& by, const int* pivots = nullptr);
   // With L^T or U.
-  void backward(const Triangle& by, const int* pivots = nullptr);
+  void backward(Team& team, const Triangle& by, const int* pivots = nullptr);
   // x as b.
   void give(double* x) const;
 
  private:
   std::pair<const double*, int> outside(const Triangle& by, const Front& f) const;
+  double* rest(const Front& f) { return beyond.data() + f.into * sides; }
   template <class Move>
-  void each_beyond(const Front& f, const Move& move);
+  void each_rest(const Front& child, const Move& move);
 
   const Fronts& fronts;
-  int most = 0, sides = 0;
-  std::vector<double> x, beyond;  // by columns: in the order; of a front
+  int sides = 0;
+  std::vector<double> x, beyond;  // by columns: in the order; of each front the rows beyond its own
 };
 
 }  // namespace voile

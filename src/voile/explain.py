@@ -277,7 +277,7 @@ def _head(scene: Scene, model: Model, kept: set[str]) -> list[str]:
         f"unknowns  about {displacement + angles}: {displacement} displacements, {angles} director angles",
         f"solver    {_solver(scene, model, by_levels)}; PETSc options after --",
         f"blas      {blas.used()}",
-        f"threads   {threads()} to factor on one rank (OMP_NUM_THREADS)",
+        f"threads   {threads()} to factor, solve and assemble on one rank (OMP_NUM_THREADS)",
         f"memory    about {needs / 2**20:.0f} MiB for matrix and {'levels' if by_levels else 'factor'}",
         f"thickness over size {_slenderness(shell):.2e}",
         *_obstacles(model),

@@ -2,7 +2,7 @@
 
 import os
 
-MOST_THREADS = 8  # of a factor: its last fronts have one thread, and beyond take most of the time
+MOST_THREADS = 8  # with a bit each of a byte in an assembly; what is left to one thread in a factor takes most of the time beyond
 
 
 def launched() -> bool:
@@ -21,7 +21,7 @@ def processors() -> int:
 
 
 def threads() -> int:
-    """On how many a process factors: as OMP_NUM_THREADS says; without it as many as there are processors, one where
+    """On how many a process factors, solves and assembles: as OMP_NUM_THREADS says; without it as many as there are processors, one where
     ranks share them."""
     given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
     wanted = int(given) if given.isascii() and given.isdigit() else 1 if launched() else processors()

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 from voile import _kernels, _petsc
 from voile.arrays import Ints, Reals
+from voile.launch import threads
 from voile.problem.partition import Part
 
 Blocks = Iterable[tuple[Ints, Reals]]
@@ -57,6 +58,7 @@ class Assembly:
             part.matrix.indptr.astype(np.int32),
             part.matrix.indices.astype(np.int32),
             part.matrix.data,
+            threads(),
         )
 
     def _find_pattern(self) -> tuple[Ints, Ints]:
