@@ -2,7 +2,8 @@
 
 import os
 
-MOST_THREADS = 8  # with a bit each of a byte in an assembly; what is left to one thread in a factor takes most of the time beyond
+# Bits of a byte tell in an assembly whose rows a triangle has.
+MOST_THREADS = 8
 
 
 def launched() -> bool:
@@ -21,8 +22,8 @@ def processors() -> int:
 
 
 def threads() -> int:
-    """On how many a process factors, solves and assembles: as OMP_NUM_THREADS says; without it as many as there are processors, one where
-    ranks share them."""
+    """How many factor, solve and assemble in a process: as OMP_NUM_THREADS says; without it as many as there are
+    processors, one where ranks share them."""
     given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
     wanted = int(given) if given.isascii() and given.isdigit() else 1 if launched() else processors()
     return min(max(wanted, 1), MOST_THREADS)
