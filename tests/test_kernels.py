@@ -240,6 +240,8 @@ BAD_INPUT = [
     ({"triangles": TWO[:, ::1] * 0 - 1}, "outside 0..3"),
     ({"triangles": np.array([[0, 1, 2], [1, 2, 3]])}, "opposite orientation"),
     ({"triangles": np.array([[0, 1, 2], [2, 1, 3], [1, 2, 0]])}, "more than two triangles"),
+    ({"triangles": np.array(TWO) + 0.5}, "triangles are not all integers"),
+    ({"triangles": np.array(TWO) + 2**32}, "triangles are not all integers"),
     ({"thickness": 0.0}, "thickness"),
     ({"thickness": [1e-3, -1e-3]}, "thickness"),
     ({"thickness": [1e-3] * 3}, "thickness has shape"),

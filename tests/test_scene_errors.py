@@ -45,6 +45,7 @@ axes = "xz" | axes = "xx" | fix.0.axes: 'xx' is not allowed
 axes = "xz" | axes = "" | fix.0.axes: '' is not allowed
 [0.0, 0.0, 0.1] | [0.0, 0.2, 0.1] | fix.0.move.displacement: 0.2 m along y, but axes = "xz" leaves y free
 radius = 0.2 | radius = 0.0 | obstacle.0.radius: 0.0 is not allowed; allowed: a finite number > 0 in m
+radius = 0.2 | radius = 1e155 | obstacle.0.radius: 1e+155 is not allowed; allowed: at most 1e+30 m
 radius = 0.2 | radii = [1, 1, 1] | obstacle.0.radii: not a key of shape = "sphere"; allowed: center, radius
 friction = 0.3 | friction = -0.1 | obstacle.0.friction: -0.1 is not allowed; allowed: a finite number >= 0
 offset = 0.0005 | offset = -1 | contact.offset: -1 is not allowed; allowed: a finite number >= 0 in m
@@ -165,7 +166,7 @@ def accepts(schema, value) -> bool:
     if isinstance(value, int | float) and (
         value <= schema.get("exclusiveMinimum", -float("inf"))
         or value >= schema.get("exclusiveMaximum", float("inf"))
-        or value < schema.get("minimum", -float("inf"))
+        or not schema.get("minimum", -float("inf")) <= value <= schema.get("maximum", float("inf"))
     ):
         return False
     if isinstance(value, list):

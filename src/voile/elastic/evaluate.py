@@ -60,7 +60,9 @@ def evaluate(
     Raises InputError for wrong shapes, values out of range and meshes that are not edge-manifold and oriented.
     """
     rest, current = _points("rest", rest), _points("current", current)
-    triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+    given, triangles = np.asarray(triangles), np.ascontiguousarray(triangles, dtype=np.int32)
+    if (given != triangles).any():
+        raise InputError("triangles are not all integers below 2^31; indices of vertices from 0 are expected")
     if rest.shape != current.shape:
         raise InputError(f"rest has shape {rest.shape}, current {current.shape}: the same is expected")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or not len(triangles):

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
-from voile.mesh.raw import RawMesh
+from voile.mesh.raw import LARGEST, RawMesh
 
 Vector3 = tuple[float, float, float]
 _NAMES = {
@@ -62,7 +62,8 @@ def show(value: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Number:
-    """A finite number in `unit`, above and below exclusive bounds, at least and at most inclusive ones."""
+    """A finite number in `unit`, above and below exclusive bounds, at least and at most inclusive ones. Lengths (m) are
+    at most those of meshes, where `most` is not given: what obstacles make of larger ones is not finite."""
 
     unit: str = ""
     above: float | None = None
@@ -86,7 +87,13 @@ class Number:
         )
         if not inside:
             raise _not_allowed(value, self)
+        if abs(number) > self._reach:
+            raise Rejected(f"{show(value)} is not allowed; allowed: at most {LARGEST:g} m")
         return number
+
+    @property
+    def _reach(self) -> float:
+        return LARGEST if self.unit == "m" and self.most is None else math.inf
 
     def allowed(self) -> str:
         bounds = [
@@ -97,7 +104,7 @@ class Number:
                 ("<", self.below),
                 ("<=", self.most),
             )
-            if bound is not None
+            if bound is not None and math.isfinite(bound)
         ]
         unit = f" in {self.unit}, written without the unit" if self.unit else ""
         return f"a finite number {' and '.join(bounds)}".rstrip() + unit
@@ -107,9 +114,12 @@ class Number:
             "exclusiveMinimum": self.above,
             "exclusiveMaximum": self.below,
             "minimum": self.least,
-            "maximum": self.most,
+            "maximum": self._reach if self.most is None else self.most,
         }
-        return {"type": "number", **{name: bound for name, bound in bounds.items() if bound is not None}}
+        if self.above is None and self.least is None:
+            bounds["minimum"] = -self._reach
+        known = {name: bound for name, bound in bounds.items() if bound is not None and math.isfinite(bound)}
+        return {"type": "number", **known}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -319,9 +329,9 @@ def vector(unit: str = "", above: float | None = None, nonzero: bool = False) ->
 
 
 class Box:
-    """Two opposite corners [[min], [max]] (m)."""
+    """Two opposite corners [[min], [max]] (m), as far away as one likes."""
 
-    corners = Array(vector("m"), length=2)
+    corners = Array(vector(), length=2)
 
     def read(self, value: Any) -> tuple[Vector3, Vector3]:
         try:

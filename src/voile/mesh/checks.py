@@ -9,13 +9,11 @@ from scipy.sparse.csgraph import connected_components
 
 from voile.arrays import Flags, Ints, Reals
 from voile.errors import InputError
-from voile.mesh.raw import RawMesh
+from voile.mesh.raw import LARGEST, SMALLEST, RawMesh
 from voile.mesh.stitches import Stitches, circular, sewing_matrix
 
 # Altitude over longest edge of a triangle without area: the determinant of its metric keeps no digit there.
 FLATNESS = 1e-8
-# m: areas squared of larger and smaller ones are near the ends of double precision.
-LARGEST, SMALLEST = 1e30, 1e-30
 
 
 def check_coordinates(raw: RawMesh) -> None:

@@ -6,6 +6,9 @@ import numpy as np
 
 from voile.arrays import Ints, Reals
 
+# m: areas squared of larger and smaller ones are near the ends of double precision.
+LARGEST, SMALLEST = 1e30, 1e-30
+
 
 @dataclass(eq=False)
 class RawMesh:

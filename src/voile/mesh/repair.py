@@ -7,11 +7,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from voile.arrays import Ints
-from voile.mesh.checks import LARGEST, flat_triangles
+from voile.mesh.checks import flat_triangles
 from voile.mesh.holes import LONGEST, border_loops, fill
 from voile.mesh.manifold import come_apart, drop_flaps, orient, patches
 from voile.mesh.mending import Repair, half_edges, joined, keep_stitches, size_of
-from voile.mesh.raw import RawMesh
+from voile.mesh.raw import LARGEST, RawMesh
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}  # metres
 USUAL = (0.15, 3.0)  # m: size of a garment or a body; of another, a mesh may be in another unit

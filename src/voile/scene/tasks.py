@@ -1,5 +1,6 @@
 """Keys of a scene that belong to a task: statics, dynamics, inverse design, and what is written."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -185,7 +186,9 @@ class Inverse:
         default=(),
     )
     seam_allowance: float = key(
-        Number("m", least=0), "pattern: distance of the cut line from the sew line", default=0.0
+        Number("m", least=0, most=math.inf),  # at most the shell's size, as patterns tell
+        "pattern: distance of the cut line from the sew line",
+        default=0.0,
     )
     regularisation: float = key(
         Number(least=0),
