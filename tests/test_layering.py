@@ -23,7 +23,7 @@ ALLOWED = {
     "elastic": {"_kernels", "mesh"},
     "contact": {"_kernels", "_friction", "_projective", "keys", "mesh"},
     "scene": {"keys", "mesh", "elastic", "contact"},
-    "problem": {"_kernels", "_petsc", "mesh", "elastic", "contact"},
+    "problem": {"_kernels", "_petsc", "launch", "mesh", "elastic", "contact"},
     "solver": {
         "_kernels",
         "_friction",
