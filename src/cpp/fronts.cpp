@@ -70,7 +70,10 @@ Fronts::Fronts(int size, const int32_t* start, const int32_t* column, int most)
     f.sibling = std::exchange(all[f.parent].child, k);
   }
   share();
-  stack();
+  stacks.resize(lanes.size());
+  sums.resize(all.size());
+  late.resize(all.size());
+  line_up();
   take(start, column);
 }
 
@@ -154,43 +157,60 @@ void Fronts::share() {
     const bool within = used > 1 && all[k].parent >= 0 && all[all[k].parent].lane < used;
     all[k].lane = within ? all[all[k].parent].lane : best[k];
   }
-  for (int k = 0; k < count; ++k) lanes[all[k].lane].push_back(k);
 }
 
-// Where fronts leave what they add: as much as each lane needs.
-void Fronts::stack() {
-  stacks.resize(lanes.size());
-  sums.resize(all.size());
-  std::vector<size_t> now(lanes.size()), most(lanes.size());
-  for (size_t k = 0; k < all.size(); ++k) {
-    const int lane = all[k].lane;
-    most[lane] = std::max(most[lane], now[lane] += all[k].adds());
-    for (int c = all[k].child; c >= 0; c = all[c].sibling)
-      if (all[c].lane == lane) now[lane] -= all[c].adds();
+// The order of each lane, and room for what its fronts add. Subtrees in which a run broke off come first, the
+// latest before the others: where one matrix is not definite, the next one often is not, either.
+void Fronts::line_up() {
+  const auto earlier = [&](int a, int b) { return late[a] != late[b] ? late[a] > late[b] : a < b; };
+  std::vector<int> open, order;  // fronts whose subtrees are left; parents, last ones first
+  for (int k = 0; k < (int)all.size(); ++k)
+    if (all[k].parent < 0) open.push_back(k);
+  std::sort(open.begin(), open.end(), earlier);
+  while (!open.empty()) {
+    const size_t left = open.size() - 1;
+    order.push_back(open.back());
+    open.pop_back();
+    for (int c = all[order.back()].child; c >= 0; c = all[c].sibling) open.push_back(c);
+    std::sort(open.begin() + (ptrdiff_t)left, open.end(), earlier);
   }
-  for (size_t lane = 0; lane < lanes.size(); ++lane) stacks[lane].resize(most[lane]);
+  for (auto& lane : lanes) lane.clear();
+  for (auto k = order.rbegin(); k != order.rend(); ++k) lanes[all[*k].lane].push_back(*k);
+  for (size_t lane = 0; lane < lanes.size(); ++lane) {
+    size_t now = 0, most = stacks[lane].size();
+    for (int k : lanes[lane]) {
+      most = std::max(most, now += all[k].adds());
+      for (int c = all[k].child; c >= 0; c = all[c].sibling)
+        if (all[c].lane == (int)lane) now -= all[c].adds();
+    }
+    stacks[lane].resize(most);
+  }
 }
 
 bool Fronts::run(const Eliminate& eliminate) {
-  broken = false;
+  broken = -1;
   Team team(subtrees());
   team.share(subtrees(), [&](int lane) {
     Team alone(1);
     run(lane, alone, eliminate);
   });
   if (lanes.size() > 1) run(subtrees(), team, eliminate);
-  return !broken;
+  if (broken < 0) return true;
+  ++breaks;
+  for (int k = broken; k >= 0; k = all[k].parent) late[k] = breaks;
+  line_up();
+  return false;
 }
 
 void Fronts::run(int lane, Team& team, const Eliminate& eliminate) {
   double* top = stacks[lane].data();
   for (int k : lanes[lane]) {
-    if (broken) return;
+    if (broken >= 0) return;
     const Front& f = all[k];
-    if (!eliminate(f, top, team)) broken = true;
+    if (!eliminate(f, top, team)) broken = k;
     const double* sum = top;  // above those of its children
     for (int c = f.child; c >= 0; c = all[c].sibling)
-      if (all[c].lane == lane) top = sums[c];
+      if (all[c].lane == lane) top = std::min(top, sums[c]);
     std::memmove(sums[k] = top, sum, sizeof(double) * f.adds());
     top += f.adds();
   }

@@ -100,17 +100,19 @@ class Fronts {
   int subtrees() const { return lanes.size() > 1 ? (int)lanes.size() - 1 : 1; }
   void take(const int32_t* start, const int32_t* column);
   void share();
-  void stack();
+  void line_up();
   void run(int lane, Team& team, const Eliminate& eliminate);
 
   int threads;
   std::vector<Pair> entries;
   std::vector<int32_t> begin;  // of columns among them
-  // Fronts, ascending: whole subtrees, a lane for each thread, and last what they all lead to.
+  // Fronts, children first: whole subtrees, a lane for each thread, and last what they all lead to.
   std::vector<std::vector<int>> lanes;
   std::vector<std::vector<double>> stacks;  // of what each lane's fronts add
   std::vector<double*> sums;                // of each front
-  std::atomic<bool> broken = false;         // a front was not eliminated
+  std::atomic<int> broken = -1;             // a front that was not eliminated
+  int breaks = 0;                           // runs that broke off
+  std::vector<int> late;                    // the last of them in each front's subtree
 };
 
 }  // namespace voile
