@@ -10,6 +10,7 @@
 #include "coarsen.hpp"
 #include "elastic.hpp"
 #include "loads.hpp"
+#include "proximity.hpp"
 #include "scatter.hpp"
 
 namespace nb = nanobind;
@@ -280,6 +281,31 @@ static void bind_coarsen(nb::module_& m) {
   });
 }
 
+static void bind_proximity(nb::module_& m) {
+  nb::class_<Proximity>(m, "Proximity")
+      .def(
+          "__init__",
+          [](Proximity* self, Doubles points, Ints triangles, Ints edges) {
+            for (const Ints& part : {triangles, edges})
+              for (size_t i = 0; i < part.size(); ++i)
+                if (part.data()[i] < 0 || (size_t)part.data()[i] >= points.size() / 3)
+                  throw nb::value_error("Proximity: index out of range");
+            new (self) Proximity({points.data(), points.size()}, copied(triangles), copied(edges));
+          },
+          "points"_a, "triangles"_a, "edges"_a)
+      .def(
+          "pairs",
+          // (codes of faces, codes of edges), see proximity.hpp
+          [](Proximity& self, Doubles x, Doubles moved, double reach) {
+            const size_t size = 3 * (size_t)self.vertices();
+            std::vector<int64_t> faces, edges;
+            self.pairs(sized(x, size, "x"), sized(moved, size, "moved"), reach, faces, edges);
+            const size_t f = faces.size(), e = edges.size();
+            return nb::make_tuple(to_numpy(std::move(faces), {f}), to_numpy(std::move(edges), {e}));
+          },
+          "x"_a, "moved"_a, "reach"_a);
+}
+
 NB_MODULE(_kernels, m) {
   nb::set_leak_warnings(false);  // objects may outlive the interpreter through PETSc callbacks
   m.doc() = "Elastic energies of triangle meshes and their derivatives (C++).";
@@ -288,6 +314,7 @@ NB_MODULE(_kernels, m) {
   bind_model(m);
   bind_scatter(m);
   bind_coarsen(m);
+  bind_proximity(m);
   m.def("add_pressure_hessian", [](Scatter& scatter, Ints corners, Doubles positions, Doubles factor) {
     const size_t count = corners.size() / 3;
     add_pressure_hessian(scatter, corners.data(), positions.data(), count, sized(factor, count, "factor"));

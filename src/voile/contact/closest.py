@@ -64,15 +64,6 @@ def closest_of_edges(x: Reals) -> Closest:
     return Closest(weight, along, np.where(inside, _length(weight, x), np.inf))
 
 
-def edge_distance(x: Reals) -> Reals:
-    """(p,) distances of two edges x (p, 4, 3), wherever they are closest."""
-    ends = [(0, 2, 3), (1, 2, 3), (2, 0, 1), (3, 0, 1)]
-    found: Reals = np.minimum.reduce(
-        [closest_of_edges(x).distance, *(_to_edge(x[:, i], x[:, j], x[:, k])[1] for i, j, k in ends)]
-    )
-    return found
-
-
 def direction(c: Closest, x: Reals) -> Reals:
     """(p, 3) r / |r| of points x (p, 4, 3), whose products with the weights are the distances' gradient."""
     found: Reals = np.einsum("pi,pik->pk", c.weight, x) / c.distance[:, None]
