@@ -241,6 +241,7 @@ inline void project_positive(Real h[21]) {
       for (int q = p + 1; q < N; ++q) {
         Real off = a[p][q];
         Mask small = (off.p < 1e-16) & (off.p > -1e-16);
+        if (!any(~small)) continue;
         left |= ~small;
         Real ratio = (a[q][q] - a[p][p]) / (Real(2.0) * select(small, Real(1.0), off));
         Real size = max(ratio, -ratio);
