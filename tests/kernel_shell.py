@@ -52,7 +52,11 @@ class Shell:
             half_edges, conormal, vectors = zip(*clamps, strict=True)
             never = np.zeros(len(clamps), dtype=np.int32)
             self.kernel.set_clamps(
-                np.int32(half_edges), np.int32(conormal), never, np.array(vectors, dtype=float)
+                np.int32(half_edges),
+                np.int32(conormal),
+                never,
+                np.array(vectors, dtype=float),
+                np.zeros(len(clamps)),
             )
         self.kernel.set_rest(rest, triangles, flat)
         ones = np.ones(len(triangles))

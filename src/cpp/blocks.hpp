@@ -55,6 +55,7 @@ struct Local {
   Vec3 area, edge[3], across[3];  // increases over the start shape: see Motion
   Increase<Real> over;            // of q over the rest shape; until `measure`, of l over the start shape
   Real s_rest[3], c_rest[3];      // sine and cosine of alpha at rest
+  Real turned[3];                 // part of the director's angle that is in alpha already: see Clamp
 };
 
 // What increases count from. Angles are kept as tangents of their halves (alpha's magnitude is at most pi),
@@ -82,9 +83,10 @@ VOILE_INLINE void turn(Real& s, Real& c, const Real& sine, const Real& cosine) {
   c = c * cosine - was * sine;
 }
 
-// alpha of edge i is turned by the director angles.
+// alpha of edge i is turned by what the director angles are more than its clamp's.
 VOILE_INLINE void turn_director(const Block& block, int i, const double* director, Local& w) {
-  Real phi = widen(block.sign[i]) * gather([&](int lane) { return director[block.edge[i][lane]]; });
+  Real phi =
+      widen(block.sign[i]) * gather([&](int lane) { return director[block.edge[i][lane]]; }) - w.turned[i];
   if (!any(phi.p != 0.0)) return;
   Real sine, cosine;
   sine_cosine(phi, sine, cosine);
@@ -110,7 +112,7 @@ VOILE_INLINE Local local_shape(const Block& block, const double* base, const dou
     w.edge[i] = du;
     w.over.l[i] = dot(du, w.t.e[i] + w.t.e[i] - du);
     w.q.l[i] = w.t.l[i];
-    w.q.s[i] = w.over.s[i] = 0.0, w.q.c[i] = w.over.c[i] = 1.0;
+    w.q.s[i] = w.over.s[i] = w.turned[i] = 0.0, w.q.c[i] = w.over.c[i] = 1.0;
   }
   if constexpr (bends) {
     w.area = w.t.inverse * (cross(w.edge[2], w.t.e[0]) + cross(w.t.e[2] - w.edge[2], w.edge[0]));
@@ -170,8 +172,9 @@ VOILE_INLINE void turn_back(const Turn& turn, Invariants<Real>& q) {
   }
 }
 
-// Clamped half edges of the block: alpha is the whole angle from the normal to the held director; its
-// increase over the start shape.
+// Clamped half edges of the block: alpha is the whole angle from the normal to the held director, turned by
+// the clamp's own angle; its increase over the start shape, which that angle does not enter: no round-off of
+// it.
 inline void hold_directors(const Block& block, const std::vector<int>& clamp_of,
                            const std::vector<Clamp>& clamps, Local& w) {
   for (int i = 0; i < 3; ++i) {
@@ -190,7 +193,10 @@ inline void hold_directors(const Block& block, const std::vector<int>& clamp_of,
       double n = w.t.root[i][lane] * along(w.t.n), m = along(conormal);
       double n0 = n - along(dn), m0 = m - along(dm);
       double size = std::hypot(n, m), both = size * std::hypot(n0, m0);
-      w.q.s[i].p[lane] = (k.conormal ? -n : m) / size, w.q.c[i].p[lane] = (k.conormal ? m : n) / size;
+      double s = (k.conormal ? -n : m) / size, c = (k.conormal ? m : n) / size;
+      double sine = std::sin(k.angle), cosine = std::cos(k.angle);
+      w.q.s[i].p[lane] = s * cosine + c * sine, w.q.c[i].p[lane] = c * cosine - s * sine;
+      w.turned[i].p[lane] = k.angle;
       w.over.s[i].p[lane] = (along(dm) * n0 - along(dn) * m0) / both;
       w.over.c[i].p[lane] = (m * m0 + n * n0) / both;
     }

@@ -25,11 +25,11 @@ struct Mesh {
 // A half edge whose director is held in space (a clamp). vector: the unit vector held: the director itself
 // (conormal false) or the in-plane normal of the edge (conormal true). at_rest: the
 // rest shape lies where the clamp is and is at rest in it as it lies there; alpha then counts from the middle
-// between the clamp and the rest shape.
+// between the clamp and the rest shape. angle: the part of the edge's director angle that never changes.
 struct Clamp {
   int half_edge;
   bool conormal, at_rest;
-  double vector[3];
+  double vector[3], angle;
 };
 
 // exact; safe: positive semidefinite; mixed: exact but for the stresses of its geometric part, which are

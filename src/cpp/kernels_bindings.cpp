@@ -99,15 +99,19 @@ static void bind_model(nb::module_& m) {
       .def("set_turn_weights",
            [](Model& s, Doubles w) { s.elastic->set_turn_weights(sized(w, 3 * s.count(), "turn weights")); })
       .def("set_clamps",
-           [](Model& s, Ints half_edges, Ints conormal, Ints at_rest, Doubles vectors) {
+           [](Model& s, Ints half_edges, Ints conormal, Ints at_rest, Doubles vectors, Doubles angles) {
              std::vector<Clamp> clamps(half_edges.size());
              sized(conormal, clamps.size(), "conormal");
              sized(at_rest, clamps.size(), "at_rest");
              sized(vectors, 3 * clamps.size(), "vectors");
+             sized(angles, clamps.size(), "angles");
              for (size_t k = 0; k < clamps.size(); ++k) {
                const double* v = vectors.data() + 3 * k;
-               clamps[k] = {
-                   half_edges.data()[k], conormal.data()[k] != 0, at_rest.data()[k] != 0, {v[0], v[1], v[2]}};
+               clamps[k] = {half_edges.data()[k],
+                            conormal.data()[k] != 0,
+                            at_rest.data()[k] != 0,
+                            {v[0], v[1], v[2]},
+                            angles.data()[k]};
                if (clamps[k].half_edge < 0 || clamps[k].half_edge >= (int)(3 * s.count()))
                  throw nb::value_error("clamps: half edge out of range");
              }

@@ -130,6 +130,12 @@ def test_a_curved_shell_on_planes_of_symmetry_starts_at_rest(build):
     assert force.norm() < 1e-8
 
 
+def test_small_loads_on_planes_of_symmetry_are_resolved():
+    """A thick octant under pressures four decades apart: edges at an angle to their planes round nothing off."""
+    one, other = (solve(sphere_octant(6, 0.1, p, "koiter", "stvk"), 1).u / p for p in (1e-7, 1e-3))
+    assert np.abs(one - other).max() < 1e-5 * np.abs(other).max()
+
+
 def test_without_directors_a_faceted_edge_on_a_plane_of_symmetry_is_refused():
     with pytest.raises(InputError, match="clamped but may slide"):
         Problem(pinched_hemisphere(6, 6, bending="average")[0], MPI.COMM_SELF)

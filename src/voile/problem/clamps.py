@@ -13,8 +13,8 @@ IN_PLACE = 1e-9  # of the shell's size: the rest shape lies where the start shap
 
 
 def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
-    """What holds the directors of both sides of every clamped edge: (k, 6) rows of half edge, flags conormal and at
-    rest (see Clamp in elastic.hpp), unit vector; and the director angles (edges,) of the start shape.
+    """What holds the directors of both sides of every clamped edge: (k, 7) rows of half edge, flags conormal and at
+    rest (see Clamp in elastic.hpp), unit vector, angle; and the director angles (edges,) of the start shape.
 
     The director is that of the start shape (on an inner edge the bisector of the two normals). A boundary whose
     rest shape lies where the start shape is held is at rest in the clamp as it lies there. With all
@@ -27,11 +27,12 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
     topology = shell.topology
     angles = np.zeros(len(topology.edges))
     if not (len(shell.clamped_edges) and model_of(shell.model).bends):
-        return np.zeros((0, 6)), angles
+        return np.zeros((0, 7)), angles
     clamped = np.zeros(len(topology.edges), dtype=bool)
     clamped[shell.clamped_edges] = True
     stiff = np.repeat(shell.young > 0.0, 3)  # what has no stiffness holds nothing
     half = np.flatnonzero(clamped[topology.triangle_edges.ravel()] & stiff)
+    angle = np.zeros(len(half))
     normal = units(area_vectors(shell.points, shell.triangles))
     triangle, corner = half // 3, half % 3
     start = shell.triangles[triangle, (corner + 1) % 3]
@@ -52,7 +53,8 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
     if directors:
         axis, meets = _plane_of_symmetry(free, along, conormal, np.minimum(loose_conormal, loose_director))
         tilt = np.arctan2(np.einsum("ij,ij->i", axis, -director), np.einsum("ij,ij->i", axis, conormal))
-        angles[topology.triangle_edges.ravel()[half[meets]]] = -(topology.signs.ravel()[half] * tilt)[meets]
+        angle[meets] = -tilt[meets]
+        angles[topology.triangle_edges.ravel()[half[meets]]] = (topology.signs.ravel()[half] * angle)[meets]
         conormal[meets], loose_conormal[meets], use_conormal[meets] = axis[meets], 0.0, True
     loose = np.where(use_conormal, loose_conormal, loose_director)
     if (slides & (loose > 1e-6)).any():
@@ -64,11 +66,11 @@ def held_directors(shell: Shell, directors: bool = True) -> tuple[Reals, Reals]:
             "angle needs bending = sin, tan or theta)"
         )
     vector = np.einsum("kai,ka->ki", axes, np.where(use_conormal[:, None], conormal, director))
-    return np.column_stack([half, use_conormal, at_rest, vector]), angles
+    return np.column_stack([half, use_conormal, at_rest, vector, angle]), angles
 
 
 def clamp_laws(shell: Shell, clamps: Reals) -> Reals:
-    """Rows (k, 7) of clamps, those of `held_directors` and the index in shell.moves of the motion that they turn with,
+    """Rows (k, 8) of clamps, those of `held_directors` and the index in shell.moves of the motion that they turn with,
     -1 where none does: where it rotates both ends of their edges. Raises InputError where the rest shape is at rest in
     such a clamp but not level in it."""
     law, half = np.full(len(clamps), -1), clamps[:, 0].astype(np.int64)

@@ -25,7 +25,7 @@ class Elastic(Term):
         self.seconds, self.stiffness = 0.0, 1.0
         self._twins: list[Elastic] = []
         self.sides: Ints = np.zeros((len(part.corners), 3), dtype=np.int32)
-        self._time, self._turns = 0.0, bool((part.half_edge_clamp[:, 6] >= 0.0).any())
+        self._time, self._turns = 0.0, bool((part.half_edge_clamp[:, 7] >= 0.0).any())
         self.count_from(part.points)
 
     def count_from(self, start: Reals) -> None:
@@ -120,7 +120,7 @@ class Elastic(Term):
             turned = scipy.spatial.transform.Rotation.from_matrix(
                 motion.turn(until) @ motion.turn(since).T
             ).as_rotvec()
-            total += float(moment[part.half_edge_clamp[row, 6] == k].sum(axis=0) @ turned)
+            total += float(moment[part.half_edge_clamp[row, 7] == k].sum(axis=0) @ turned)
         return total
 
     def clamp_moments(self, at: Point) -> tuple[Ints, Reals]:
@@ -188,6 +188,6 @@ def _set_clamps(kernel: _kernels.Elastic, part: Part, time: float) -> None:
     half_edge, conormal, at_rest = np.ascontiguousarray(clamp[:, :3].astype(np.int32).T)
     vectors = clamp[:, 3:6].copy()
     for k, motion in enumerate(part.turns):
-        mine = clamp[:, 6] == k
+        mine = clamp[:, 7] == k
         vectors[mine] = vectors[mine] @ motion.turn(time).T
-    kernel.set_clamps(half_edge, conormal, at_rest, vectors)
+    kernel.set_clamps(half_edge, conormal, at_rest, vectors, clamp[:, 6].copy())

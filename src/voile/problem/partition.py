@@ -59,7 +59,7 @@ class Part:
     welds: Reals  # (w, 16) all: those of Shell.welds, then as for bars
     extra_mass: Reals  # (vertices,) kg
     half_edge_clamp: (
-        Reals  # (k, 7): local half edge, flags conormal and at rest, vector, which of `turns` or -1
+        Reals  # (k, 8): local half edge, flags conormal and at rest, vector, angle, which of `turns` or -1
     )
     turns: tuple[Motion, ...]  # of moving supports
     owned: int
@@ -183,7 +183,7 @@ def distribute(shell: Shell | None, directors: bool, comm: MPI.Comm) -> Part:
 def cut(
     shell: Shell, constraints: Constraints, numbering: Numbering, rank: int, clamps: Reals, directors: bool
 ) -> Part:
-    """The part of one rank. clamps (k, 7) as Part.half_edge_clamp, with global half edges."""
+    """The part of one rank. clamps (k, 8) as Part.half_edge_clamp, with global half edges."""
     n, topology = len(shell.points), shell.topology
     edges = len(topology.edges)
     triangles = _needed_triangles(shell, constraints, numbering, rank)
