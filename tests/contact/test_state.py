@@ -7,6 +7,7 @@ import pytest
 
 from voile.contact.contact import Contact
 from voile.contact.obstacles import Plane, Sphere
+from voile.contact.pairs import within
 from voile.problem.terms import Point
 from voile.problem.tied import TiedContact
 
@@ -142,6 +143,14 @@ def test_a_point_pulled_away_opens():
     x, r, _ = one_vertex(0.3, np.array([0.5, 0.0, 1.0]), np.eye(3))
     assert np.allclose(x, [0.5, 0.0, 1.0])
     assert not r.any()
+
+
+def test_round_off_leaves_nothing_off_the_tangent_plane():
+    """Times a stiff shell's penalty, 1e14 N/m, it would be a force."""
+    normal = np.random.default_rng(3).normal(size=(200, 3))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    found = within(normal, 1e-3 * normal + 1e-9 * np.roll(normal, 1, axis=1))
+    assert np.abs(np.einsum("pi,pi->p", found, normal)).max() < 1e-24
 
 
 def test_sharp_norms_take_no_larger_rho():

@@ -149,6 +149,39 @@ def test_books_close_to_1e_8_whatever_the_tolerance(scheme):
         assert run.path.counts.factorisations < 5 * run.path.count
 
 
+@pytest.mark.parametrize("cells", [6, 0])
+@pytest.mark.parametrize(
+    "scheme",
+    [{"scheme": "generalized-alpha"}, {"scheme": "moreau-jean", "theta": 0.5}],
+    ids=["alpha", "half"],
+)
+def test_round_off_leaves_the_books_of_the_stiffest_shells_closed(scheme, cells):
+    """E = 1e12 Pa: a last place of a slip or a gap, times the stiffness, is as large as the loads' last digits."""
+    points, triangles = sheet(cells, cells, 0.3, 0.3) if cells else sheet(1, 1, 0.1, 0.1)
+    if cells:
+        points[:, :2] -= 0.15
+    else:
+        points, triangles = points[:3], np.array([[0, 1, 2]])
+    points[:, 2] = 5e-4
+    scene = {
+        "scene": {"task": "dynamics"},
+        "shell": {
+            "mesh": (points, triangles),
+            "young": 1e12,
+            "thickness": 1e-3,
+            "density": 300.0,
+            "bending": "average",
+        },
+        "loads": {"gravity": [0.0, 0.0, -G]},
+        "obstacle": [{"shape": "sphere", "center": [0.05, 0.02, -0.1], "radius": 0.1, "friction": 0.3}],
+        "dynamics": {"time_step": 5e-3, "duration": 0.1, **scheme},
+    }
+    history = voile.run(scene).history
+    largest = max(np.abs(history[name]).max() for name in ("kinetic", "gravity"))
+    assert np.abs(history["balance_error"]).max() < 1e-8 * largest
+    assert (history["residual"] <= history["tolerance"]).all()
+
+
 @pytest.mark.parametrize(
     ("scheme", "asked"),
     [(name, SchemeOptions()) for name in SCHEMES]

@@ -137,6 +137,7 @@ def test_a_run_killed_before_its_first_step_starts_again(scene, tmp_path):
         ("obstacle.0.move.from=0.2", "obstacle.0.move.from: 0.2 s"),
         ('obstacle.0.move={path="motion.csv"}', "motion.csv"),
         ("loads.history=[[0,1],[0,2]]", "loads.history"),
+        ("loads.history=[[1,1]]", "loads.history: begins at t = 1 s; allowed: a first row at t = 0 s"),
         ('scene.task="statics"', "obstacle.0.move"),
     ],
 )

@@ -90,7 +90,7 @@ class Equations:
         """Takes the penalty's share of the reactions after the step dx (n, 3) into the multipliers."""
         p = self.pairs
         opening, relative = p.motion(dx)
-        slid = p.slip + within(p.unit, relative)
+        slid = within(p.unit, p.slip + relative)
         self.normal = np.where(self.active, self.normal - self.penalty * (p.gap + opening), 0.0)
         turned = self.normal[:, None] * self.along - self.turning[:, None] * times(self.sideways, slid)
         self.friction = self._chosen(self.friction - self.penalty * slid, turned)

@@ -126,8 +126,11 @@ def times(a: Reals, b: Reals) -> Reals:
 
 
 def within(normal: Reals, v: Reals) -> Reals:
-    """(p, 3) parts of rows in the planes of unit normals."""
-    return v - dot(normal, v)[:, None] * normal
+    """(p, 3) parts of rows in the planes of unit normals: taken twice, for what round-off of v leaves off the plane,
+    times a penalty, would be a force along the normal."""
+    for _ in range(2):
+        v = v - dot(normal, v)[:, None] * normal
+    return v
 
 
 def margin(normal: Reals, tangential: Reals, friction: float | Reals) -> Reals:

@@ -21,6 +21,7 @@ from voile.problem.shell import Shell, seam_gaps
 
 SAMPLED, MOST_SAMPLES = 0.01, 200  # sizes of the shell between places at which a way is looked at; how many
 DEEP = 0.01  # sizes of the shell: how deep the way of a step may lead into an obstacle
+SHARP = 1e-13  # sizes: gaps and slips that make up the tolerance of a residual
 TOUCH = 1e-10  # times the shell's size: a gap that is none to round-off
 
 
@@ -195,12 +196,17 @@ def contact_report(problem: Problem, y: PETSc.Vec) -> dict[str, Any]:
     }
 
 
-def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> dict[str, float]:
-    """Of the reactions at y over the vertices' way (n, 3) m since they were at `before` (n, 3) m (J): friction and
+def measured_pairs(problem: Problem, x: Reals, tolerance: float) -> list[Pairs]:
+    """The pairs at positions x (n, 3) by which a residual is measured that is to be within a tolerance (N)."""
+    return contact_of(problem).measured_pairs(x, problem.time, tolerance / (SHARP * problem.size()))
+
+
+def contact_work(problem: Problem, found: list[Pairs], way: Reals, before: Reals) -> dict[str, float]:
+    """Of the pairs found over the vertices' way (n, 3) m since they were at `before` (n, 3) m (J): friction and
     impact, what tangential and normal reactions dissipate over the way relative to their partner; obstacles, what
     these work by moving; total, on the shell."""
-    contact, found = contact_of(problem), np.zeros(4)
-    for pairs in contact.pairs(problem.positions(y), problem.time):
+    contact, total = contact_of(problem), np.zeros(4)
+    for pairs in found:
         partner, index = contact.partners[pairs.index], pairs.index
         normal, tangential = pairs.project()
         _, moved = pairs.motion(partner.gather(way))
@@ -214,8 +220,8 @@ def contact_work(problem: Problem, y: PETSc.Vec, way: Reals, before: Reals) -> d
         own, relative = contact.counted(pairs), moved - carried
         parts = (-(tangential * relative), -(force * relative), (force + tangential) * carried)
         works = np.array([part[own].sum() for part in parts])
-        found += [*works, works[2] - works[0] - works[1]]
-    return dict(zip(("friction", "impact", "obstacles", "total"), problem.comm.allreduce(found), strict=True))
+        total += [*works, works[2] - works[0] - works[1]]
+    return dict(zip(("friction", "impact", "obstacles", "total"), problem.comm.allreduce(total), strict=True))
 
 
 def leads_through(problem: Problem, before: Reals, began: float, after: Reals, touching: float) -> bool:

@@ -89,7 +89,8 @@ class Loads:
     )
     history: tuple[tuple[float, ...], ...] = key(
         Array(Array(Number(), length=2)),
-        "dynamics: (t, factor) on gravity, pressures, forces and moments, linear between",
+        "dynamics: (t, factor) on gravity, pressures, forces and moments, from t = 0 s on, linear between, the last "
+        "one from then on",
         default=(),
     )
     force: tuple[Force, ...] = key(Tables(Force), "dead forces", default=())
@@ -97,6 +98,10 @@ class Loads:
     moment: tuple[Moment, ...] = key(Tables(Moment), "end moments", default=())
 
     def check(self, given: set[str]) -> None:
+        if self.history and self.history[0][0] > 0.0:
+            raise Rejected(
+                f"begins at t = {self.history[0][0]:g} s; allowed: a first row at t = 0 s", ("history",)
+            )
         for index, row in enumerate(self.history):
             if index and row[0] <= self.history[index - 1][0]:
                 raise Rejected(f"t = {row[0]:g} s is not after the time before", ("history", index))

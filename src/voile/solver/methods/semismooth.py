@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from voile.contact.contact import Linearised
 from voile.errors import InputError
-from voile.problem.contact import contact_of
+from voile.problem.contact import contact_of, measured_pairs
 from voile.problem.problem import Problem
 from voile.problem.state import State
 from voile.solver.linear import LinearSolver
@@ -23,7 +23,6 @@ from voile.solver.methods.method import Nonlinear, Outcome, Workspace
 from voile.solver.methods.steps import WORTH, Stall, by_round_off, limit, sharpened, test
 
 _REASON = PETSc.SNES.ConvergedReason
-SHARP = 1e-13  # sizes of the shell: gaps and slips that make up the tolerance
 STILL = 1e-15  # sizes: a Newton step that moves no vertex by more is round-off
 
 
@@ -216,7 +215,7 @@ def closed_step(
 def law_norms(problem: Problem, y: PETSc.Vec, f: PETSc.Vec, tolerance: float) -> tuple[float, float]:
     """Norms of the equilibrium's residual, left in f, and of the laws' mismatch (N); tolerance: theirs (N)."""
     contact, x = contact_of(problem), problem.positions(y)
-    pairs = contact.measured_pairs(x, problem.time, tolerance / (SHARP * problem.size()))
+    pairs = measured_pairs(problem, x, tolerance)
     problem.residual(y, f, contact.projected(pairs))
     mismatch = problem.comm.allreduce(contact.missed(pairs))
     return f.norm(), float(np.sqrt(mismatch))

@@ -12,7 +12,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from voile.arrays import Reals
-from voile.problem.contact import contact_work
+from voile.contact.pairs import Pairs
+from voile.problem.contact import contact_work, measured_pairs
 from voile.problem.mean import between
 from voile.problem.problem import Problem
 from voile.problem.rest import field_vector
@@ -44,17 +45,24 @@ def created(entries: dict[str, float]) -> float:
 
 @dataclass
 class Ended:
-    """A step that ended at the unknowns y with the kinematics `after`; lost (J): elastic energy at its start."""
+    """A step that ended at the unknowns y with the kinematics `after`, solved to a tolerance (N); lost (J): elastic
+    energy at its start."""
 
     forces: StepForces
     y: PETSc.Vec
     after: Kinematics
     prediction: Prediction
+    tolerance: float
     lost: float = 0.0
 
     @cached_property
     def at(self) -> Point:
         return self.forces.problem.point(self.y)
+
+    @cached_property
+    def pairs(self) -> list[Pairs]:
+        """Its contacts, as its residual has them: reactions that follow gaps more stiffly have their round-off."""
+        return measured_pairs(self.forces.problem, self.after.positions, self.tolerance)
 
     @cached_property
     def inertia(self) -> Reals:
@@ -79,7 +87,7 @@ class Ended:
         residual."""
         problem, moving = self.forces.problem, self.inertia
         if problem.contact:
-            moving = moving - problem.contact.reactions(self.after.positions, problem.time)
+            moving = moving - problem.contact.projected(self.pairs)
         dofs = np.concatenate([moving.ravel(), np.zeros(len(problem.part.edge))])
         return sum((-force for force in self.acting.values()), dofs)
 
@@ -139,7 +147,7 @@ class Books:
             potential = self._loads(at) - self._loads(late)
         contact = dict.fromkeys(("friction", "impact", "obstacles", "total"), 0.0)
         if problem.contact:
-            contact = contact_work(problem, step.y, way, before.positions)
+            contact = contact_work(problem, step.pairs, way, before.positions)
         missed = self._residual_work(step, way)
         lost = sum(self.totals[name] for name in LOST)
         return {

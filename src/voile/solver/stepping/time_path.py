@@ -215,10 +215,10 @@ class Stepper:
         if not outcome.converged:
             problem.restore(y, start)
             return None, outcome, 0.0
-        ended, entries = self._ended(forces, prediction)
+        ended, entries = self._ended(forces, prediction, wanted)
         if self._misses(entries, end):
             self.solver.sharpen(step, y, wanted)
-            ended, entries = self._ended(forces, prediction)
+            ended, entries = self._ended(forces, prediction, wanted)
         x = ended.after.positions
         refusal, wish = self._refusal(problem, prediction, start.time, h, x)
         refusal = refusal or self.creation.refusal(self.path.books, entries, h <= self.finest)
@@ -244,11 +244,13 @@ class Stepper:
         )
         return done, outcome, wish
 
-    def _ended(self, forces: StepForces, prediction: Prediction) -> tuple[Ended, dict[str, float]]:
-        """A step that ends at y, and its entries in the books."""
+    def _ended(
+        self, forces: StepForces, prediction: Prediction, wanted: float
+    ) -> tuple[Ended, dict[str, float]]:
+        """A step that ends at y, solved to the tolerance `wanted` (N), and its entries in the books."""
         x = forces.problem.positions(self.y)
         after = forces.scheme.update(self.kinematics, forces.h, prediction, x)
-        ended = Ended(forces, self.y, after, prediction, self.folds.lost)
+        ended = Ended(forces, self.y, after, prediction, wanted, self.folds.lost)
         return ended, self.path.books.entries(ended)
 
     def _misses(self, entries: dict[str, float], end: float) -> bool:
