@@ -3,11 +3,13 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from everyday import Everyday, everyday, sheet
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from voile.problem.contact import shell_layers, with_obstacles
 from voile.problem.problem import Problem
@@ -16,7 +18,7 @@ from voile.solver.cascade import Cascade
 from voile.solver.equilibrium import Solver
 from voile.solver.methods.augmented_lagrangian import AugmentedLagrangian
 from voile.solver.methods.method import Method, Outcome
-from voile.solver.methods.pseudo_transient import PseudoTransient, WatchedTransient
+from voile.solver.methods.pseudo_transient import Options, PseudoTransient, WatchedTransient, _March
 from voile.solver.methods.semismooth import Semismooth
 from voile.solver.methods.tied import Tied
 from voile.solver.path import StaticsOptions
@@ -178,3 +180,22 @@ def test_what_failed_is_not_tried_again(layers, tmp_path, monkeypatch):
     ]  # fmt: skip
     assert max(factor for factor, _ in tried[4:8]) < 0.1  # the cut one, before the last resort
     assert len({(factor, id(method)) for factor, method in tried}) == len(tried)
+
+
+@pytest.mark.parametrize("seed, most", [(81, 680), (147, 500)])
+def test_what_slides_off_a_body_meets_it_softly(seed, most, solved):
+    """Contact as stiff as the shell took 789 and 560 factorisations until the sheet had slid away."""
+    path, _ = solved(seed)
+    assert "slides" in path.reason
+    assert path.counts.factorisations < most
+
+
+@pytest.mark.parametrize("why, times", [("DIVERGED_LINE_SEARCH", 1.0), ("DIVERGED_LOCAL_MIN", 4.0)])
+def test_a_step_that_went_astray_is_shorter_next_time(why, times):
+    """It was tried again as long where its unknowns could be counted anew, which helps against round-off alone."""
+    reason = getattr(PETSc.SNES.ConvergedReason, why)
+    descent = SimpleNamespace(nonlinear=SimpleNamespace(snes=SimpleNamespace(reason=reason)))
+    march = _March.__new__(_March)
+    march.method, march.options, march._sharpened = SimpleNamespace(descent=descent), Options(), lambda: True
+    march.rate = march.slow = march.wait = march.pause = 1
+    assert march._shorten() and march.rate == times
