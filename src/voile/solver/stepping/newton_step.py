@@ -20,21 +20,18 @@ from voile.solver.methods.augmented_lagrangian import Options as LagrangianOptio
 from voile.solver.methods.descent import Descent
 from voile.solver.methods.method import InertialWorkspace, Method, Outcome
 from voile.solver.methods.mixed_newton import MixedNewton
-from voile.solver.methods.semismooth import Options as SemismoothOptions
 from voile.solver.methods.semismooth import Semismooth, law_norms
 from voile.solver.methods.steps import Sharpened
 
 
 @dataclass
 class Options:
-    """sharp: of the tolerance, at which a guess is the step's end. With layers: whole, share of a semismooth
-    step that they must leave, or a descent goes on (with a cut runs took seven more iterations and hardly any
-    converged); stiffest, of contact in descents, as stiff as the equations. Pairs that meet in almost the same place,
-    of a strip that folds along its cells, differ by a fiftieth of a weight. Updates as soft as the first one
-    left three quarters of what the laws missed there, and no step was short enough."""
+    """sharp: of the tolerance, at which a guess is the step's end. With layers: stiffest, of contact in descents, as
+    stiff as the equations. Pairs that meet in almost the same place, of a strip that folds along its cells, differ by a
+    fiftieth of a weight. Updates as soft as the first one left three quarters of what the laws missed there, and no
+    step was short enough."""
 
     sharp: float = 0.01
-    whole: float = 0.95
     stiffest: float = PENALTY / LAYERS
 
 
@@ -65,9 +62,7 @@ class NewtonStep:
         methods: list[Method]
         if problem.contact:
             layers = problem.contact.itself is not None
-            semismooth = Semismooth(
-                self.work, SemismoothOptions(shortest=self.options.whole if layers else 0.0)
-            )
+            semismooth = Semismooth(self.work)
             stiffest = self.options.stiffest if layers else 1.0
             held = LagrangianOptions(softest=1.0, stiffest=stiffest)
             stiff = AugmentedLagrangian(descent, semismooth, 0.0, held)
