@@ -1,5 +1,6 @@
 """A shell against itself: distances and their derivatives, the laws' derivatives, stacks with known forces, loops."""
 
+import time
 from pathlib import Path
 
 import ipctk
@@ -137,6 +138,19 @@ def test_no_layer_passes_through_another():
     assert (x + share * (through - x))[upper, 2].min() > x[~upper, 2].min()
     far = x + 1e7 * (away - x)  # 1e5 m: no search goes that far
     assert 0.9 < layers.free_share(x, far, near) * 1e5 / np.linalg.norm(np.ptp(x, axis=0)) <= 1.0
+
+
+def test_a_vertex_in_the_plane_of_a_triangle_takes_no_second():
+    """To round-off, on a way of round-off: IPC's search went ten million steps."""
+    x = np.array([[0.063, 0.096, 0.005], [0.1, 0.05, 0.005], [0.1, 0.1, 0.005], [0.05, 0.1, 0.005]])
+    x[0, 2] += np.spacing(0.005)
+    triangles, edges = np.array([[1, 2, 3]]), np.array([[1, 2], [2, 3], [1, 3]])
+    layers = Layers(x, triangles, edges, np.zeros((0, 2), dtype=int), 1e-3, 0.0)
+    moved = x.copy()
+    moved[0] += [-1.1e-16, 1.7e-16, -4.2e-16]
+    began = time.process_time()
+    assert 0.0 < layers.free_share(x, moved, layers.find(x, np.zeros(0, dtype=int))) <= 1.0
+    assert time.process_time() - began < 0.2
 
 
 def test_what_is_near_along_the_cloth():

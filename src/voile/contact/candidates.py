@@ -18,6 +18,9 @@ from voile.contact.directions import lengths
 from voile.errors import InputError
 
 BAND = 1.0  # thicknesses beyond contact within which pairs are kept: they stay valid for half of it of motion
+# Steps of IPC's search on a way, which then ends where it is: 10 ms. A vertex that lies in a triangle's plane to
+# round-off takes any number; one that slides by 3 cm at a distance of 1e-6 m takes 50,000.
+LONGEST = 100_000
 SAME = 1e-9  # thicknesses: layers nearer than this are in the same place
 ACROSS = ((0, 1), (0, 2), (0, 3)), ((0, 2), (0, 3), (1, 2), (1, 3))  # a stencil's two sides: faces, edges
 
@@ -149,7 +152,9 @@ class Layers:
         swept, edges = ipctk.Candidates(), (edge - self._split).tolist()
         swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in face.tolist()]
         swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
-        return float(swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD()))
+        return float(
+            swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD(LONGEST))
+        )
 
     def check_start(self, x: Reals) -> None:
         """Raises InputError where layers at x (n, 3) are in the same place, or (but for what is excluded) through each
