@@ -143,18 +143,13 @@ class Layers:
             reach *= 0.999  # or round-off may leave the rest too long again
             return reach * self.free_share(x, x + reach * (moved - x), candidates)
         known = self.valid(candidates, x) and self.valid(candidates, moved)
-        code, n, e = (
-            candidates.code if known else self._near(x, moved, 0.0),
-            len(self.points),
-            len(self.edges),
-        )
+        code = candidates.code if known else self._near(x, moved, 0.0)
         face, edge = np.split(code, [self._faces(code)])
-        swept, edges = ipctk.Candidates(), (edge - self._split).tolist()
+        swept, search = ipctk.Candidates(), ipctk.AdditiveCCD(LONGEST)
+        n, e = len(self.points), len(self.edges)
         swept.fv_candidates = [ipctk.FaceVertexCandidate(*divmod(c, n)) for c in face.tolist()]
-        swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in edges]
-        return float(
-            swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, ipctk.AdditiveCCD(LONGEST))
-        )
+        swept.ee_candidates = [ipctk.EdgeEdgeCandidate(*divmod(c, e)) for c in (edge - self._split).tolist()]
+        return float(swept.compute_collision_free_stepsize(self._mesh, x, moved, 0.0, search))
 
     def check_start(self, x: Reals) -> None:
         """Raises InputError where layers at x (n, 3) are in the same place, or (but for what is excluded) through each
