@@ -31,7 +31,6 @@ class BoxTree {
   static void meet(const BoxTree& a, const BoxTree& b, const Found& found) { meet(a, 0, b, 0, found); }
 
   const int* corners(int part) const { return &vertex_[(size_t)per_ * part]; }
-  int per() const { return per_; }
   int size() const { return (int)order_.size(); }
 
  private:
