@@ -237,6 +237,24 @@ def test_what_acts_from_the_start_comes_to_rest_before_loads_without_a_potential
     assert np.linalg.norm(np.diff(rim, axis=0), axis=1).sum() < 0.5 * 0.95
 
 
+def test_every_method_is_tried_before_load_steps_without_a_potential_get_too_short():
+    """A membrane falls from level, where it has no stiffness; pressure tilts it by sin(angle) = p / (rho h g)."""
+    points, triangles = cloth(3, 0.5)
+    edge = np.flatnonzero(points[:, 0] == 0.0).tolist()
+    scene = {
+        "shell": {
+            **{"mesh": (points, triangles), "model": "membrane"},
+            **{"young": 1e8, "thickness": 1e-3, "density": 300.0},
+        },
+        "loads": {"gravity": [0.0, 0.0, -9.81], "pressure": 0.5},
+        "fix": [{"select": {"nodes": edge}}],
+    }
+    end = voile.run(voile.load(scene)).positions[points[:, 0] == 0.5]
+    assert end[:, 2].max() < -0.49
+    angle = np.arctan2(end[:, 0], -end[:, 2])
+    assert np.abs(np.sin(angle)) == pytest.approx(0.5 / 2.943, rel=1e-5)
+
+
 def test_the_energy_of_pressure_that_changes_within_free_cloth_does_not_depend_on_numbers():
     points, triangles = cloth(5, 0.4)
     x, y = points[:, 0], points[:, 1]

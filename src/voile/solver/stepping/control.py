@@ -71,11 +71,13 @@ class StepControl:
         return self.step < self.options.smallest or self.failures > self.options.hopeless
 
     def failed(self) -> None:
-        """After a step without an equilibrium: a shorter one, or that of the last resort."""
+        """After a step without an equilibrium: a shorter one, or, before steps get too short, the last resort."""
         self.failures += self.last_resort
-        self.cuts += 1
+        shorter = 0.25 * self.step
+        hurries = self.cuts < self.most and shorter < self.options.smallest
+        self.cuts = self.most if hurries else self.cuts + 1
         self.row = 0
-        self.step = self.longest if self.cuts == self.most else 0.25 * self.step
+        self.step = self.longest if self.cuts == self.most else shorter
 
     def whole(self) -> None:
         """Where nothing but the loads leads the shell: all that is left of them at once."""
