@@ -17,6 +17,8 @@ from voile.cli import main
 from voile.inverse import solve
 from voile.mesh import Stitches, read_mesh, write_obj
 from voile.results import read_pattern, read_result
+from voile.solver.fronts import Fronts
+from voile.solver.linear import LinearSolver
 
 ROD = """
 [[obstacle]]
@@ -64,6 +66,21 @@ def on_a_rod(tmp_path):
     write_obj(tmp_path / "target.obj", *tube())
     scene(tmp_path, ROD.format(friction=0.5))
     return tmp_path
+
+
+def test_every_factorisation_of_the_search_and_its_proofs_is_counted(on_a_rod, monkeypatch, capsys):
+    made = []
+
+    def counted(factor):
+        return lambda *words: made.append(1) or factor(*words)
+
+    for kind in (Fronts, LinearSolver):
+        monkeypatch.setattr(kind, "factor", counted(kind.factor))
+    monkeypatch.chdir(on_a_rod)
+    assert main(["run", "scene.toml", "-o", "out"]) == 0, capsys.readouterr()
+    summary = json.loads((on_a_rod / "out" / "summary.json").read_text())
+    assert summary["factorisations"] == len(made) > 5
+    assert summary["newton_iterations"] > 3 and summary["linear_solves"] > 3
 
 
 def test_friction_holds_the_target_and_the_rest_shape_drapes_again(on_a_rod):

@@ -55,7 +55,7 @@ def test_a_simulation_that_is_given_up_leaves_the_target_where_it_is(monkeypatch
     target = Target(Problem(strip, MPI.COMM_SELF), strip, [], 0.5e-3, 1e-3)
     own, problem = target.problem.create_vector(), target.problem
 
-    def moves_and_gives_up(_problem, options, *, start):
+    def moves_and_gives_up(_problem, options, *, start, **_):
         problem.move_origin(problem.create_vector() + 0.01)
         options.watch(start + 1.0)
         raise AssertionError
@@ -70,7 +70,7 @@ def test_a_target_let_go_is_judged_by_the_full_load(monkeypatch):
     target = Target(Problem(strip, MPI.COMM_SELF), strip, [], 0.5e-3, 1e-3)
     asked = []
 
-    def sees(problem, options, *, start):
+    def sees(problem, options, *, start, **_):
         asked.append((options.load_steps, options.max_steps))
         return Path(start.copy())
 

@@ -18,7 +18,7 @@ from voile.errors import NotConverged
 from voile.inverse.target import Target
 from voile.problem.problem import Problem
 from voile.problem.scales import force_floor
-from voile.solver.linear import Counts, counting, factored, unsymmetric
+from voile.solver.linear import counting, factored, unsymmetric
 
 MOST = 40  # Newton iterations of one step
 SHARP = 1e-8  # residual over the loads' norm: enough where round-off may be larger
@@ -79,8 +79,8 @@ class Direct:
         self.matrix, self.tangent = self.problem.create_matrix(), target.tangent
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, False)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self.solver = unsymmetric(self.problem.comm, "inverse_", Counts())
-        self.inertia = counting(self.problem.comm)
+        self.solver = unsymmetric(self.problem.comm, "inverse_", target.counts)
+        self.inertia = counting(self.problem.comm, target.counts)
 
     @property
     def problem(self) -> Problem:
@@ -186,7 +186,7 @@ class Direct:
             before = f.norm()
             problem.tangent(y, self.tangent)
             self.tangent.zeroRowsColumns(vertices.astype(np.int32), 1.0)
-            solver = factored(self.tangent, definite=True)
+            solver = factored(self.tangent, self.target.counts, definite=True)
             solver.solve(f, step)
             solver.destroy()
             z.axpy(-1.0, step)
@@ -261,6 +261,7 @@ class Direct:
 
     def _step(self, y: PETSc.Vec, f: PETSc.Vec, direction: PETSc.Vec, anew: bool = True) -> bool:
         """Newton's direction D^-1 f, with the last factor unless `anew`; False where D is singular."""
+        self.target.counts.iterations += 1
         if anew:
             self.linearise(y)
             if not self.solver.factor(self.matrix):

@@ -28,9 +28,9 @@ DEPENDENT = 1e-12  # squared length of a unit column, that is left of it beside 
 class Modes:
     """Lowest eigenpairs by the mass M of a problem's tangents."""
 
-    def __init__(self, problem: Problem, mass: PETSc.Vec):
+    def __init__(self, problem: Problem, mass: PETSc.Vec, counts: Counts):
         self.problem, self.mass, self.most = problem, mass, min(MODES, problem.unknowns)
-        self.solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "nearest_modes_")
+        self.solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, counts, "nearest_modes_")
         self.block = _start(problem, min(MODES + GUARD, problem.unknowns))
 
     def find(self, tangent: PETSc.Mat, margin: float, cut: float) -> tuple[Reals, Reals, int]:

@@ -21,7 +21,7 @@ from voile.arrays import Flags, Reals
 from voile.inverse.direct import Direct
 from voile.problem.rest import rest_areas
 from voile.solver.columns import orthonormal, products, times
-from voile.solver.linear import Counts, symmetric, unsymmetric
+from voile.solver.linear import symmetric, unsymmetric
 
 WEIGHT = 1.0  # of the rest shape's moves beside the shape's: with less they grow rough, and simulations leave answers
 # Times that, where steps grow short or simulations leave answers anyway; down to this.
@@ -71,8 +71,10 @@ class Moves:
         self.weight = WEIGHT
         self.rest_metric = self._create_metric(WEIGHT)
         self.across = self.target.tangent.duplicate()
-        self.solver = unsymmetric(problem.comm, "nearest_", Counts())
-        self.metric_solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "nearest_metric_")
+        self.solver = unsymmetric(problem.comm, "nearest_", direct.target.counts)
+        self.metric_solver = symmetric(
+            problem.comm, PETSc.KSP.Type.PREONLY, 0.0, direct.target.counts, "nearest_metric_"
+        )
         self.hold(held)
 
     def linearise(self, stiffness: PETSc.Mat, matrix: PETSc.Mat) -> bool:

@@ -16,7 +16,7 @@ from voile.inverse.moves import Move, Moves, Slopes
 from voile.problem.scales import slow_rate
 from voile.problem.triangles import gather_triangles, spread_triangles
 from voile.solver.anderson import Anderson
-from voile.solver.linear import Counts, unsymmetric
+from voile.solver.linear import unsymmetric
 
 CUT = 20.0  # slow rates above the margin under which modes are known
 # Times that, where a way ends: a T-shirt's did at a mode of 600/s^2 that sank by 100 in a millionth of the size. It
@@ -59,8 +59,8 @@ class Neighbours:
         self.slow = slow_rate(problem)
         self.cut = CUT * self.slow
         self.moves = Moves(direct, held)
-        self.modes = Modes(problem, self.moves.mass)
-        self.renewed = unsymmetric(problem.comm, "nearest_", Counts())
+        self.modes = Modes(problem, self.moves.mass, target.counts)
+        self.renewed = unsymmetric(problem.comm, "nearest_", target.counts)
 
     # ---- equilibria ----
 

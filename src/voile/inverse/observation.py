@@ -44,10 +44,11 @@ class Observation:
         offset: float = 0.0,
         steps: int = 1,
         ruled: Collection[str] = (),
+        counts: Counts | None = None,
     ):
         """observed (local vertices, 3) m: the start shape where None; offset (m) from the mid-surface to the surface
-        that touches; ruled: stiffnesses of a woven fabric that follow the others by a rule."""
-        self.ruled = ruled
+        that touches; ruled: stiffnesses of a woven fabric that follow the others by a rule; counts: of the run."""
+        self.ruled, self.counts = ruled, counts or Counts()
         self.problem, self.obstacles, self.offset = problem, obstacles, offset
         self.flat, self.woven = problem.flat, bool(problem.part.weave.size)
         self.stiffnesses = stiffnesses(problem.part.weave, *problem.part.fabric[1:3]) if self.woven else {}
@@ -60,7 +61,7 @@ class Observation:
         self.state: PETSc.Vec | None = None
         self.simulations = 0
         self.stable, self.reason = False, ""  # of the last one's end; why it has none
-        self._solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts())
+        self._solver = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, self.counts)
         self._tangent = problem.create_matrix()
 
     # ---- parameters ----
@@ -128,7 +129,8 @@ class Observation:
         start = None if self.obstacles else self.state
         steps = self.steps if start is None else 1
         self.simulations += 1
-        path = solve_statics(problem, StaticsOptions(load_steps=steps, tolerance=accuracy), start=start)
+        options = StaticsOptions(load_steps=steps, tolerance=accuracy)
+        path = solve_statics(problem, options, start=start, counts=self.counts)
         problem.reset_origin(path.state)
         self.stable, self.reason = bool(path.stable), "" if path.converged else path.reason
         if not path.converged:
@@ -172,11 +174,11 @@ class UnknownRest:
     """The rest shape for which an observed equilibrium without contact, taken as exact, stands: a function of the
     parameters, by the direct method."""
 
-    def __init__(self, problem: Problem, shell: Shell | None):
-        """The problem's start shape (shell: rank 0's) is the observed one. Raises NotConverged where nothing holds
-        it or round-off hides the loads."""
-        self.observation = Observation(problem)
-        self._direct = Direct(Target(problem, shell, [], 0.0, problem.size()))
+    def __init__(self, problem: Problem, shell: Shell | None, counts: Counts | None = None):
+        """The problem's start shape (shell: rank 0's) is the observed one; counts: of the run. Raises NotConverged
+        where nothing holds it or round-off hides the loads."""
+        self.observation = Observation(problem, counts=counts)
+        self._direct = Direct(Target(problem, shell, [], 0.0, problem.size(), counts=counts))
         self._direct.check_round_off()
         self._last: PETSc.Vec | None = None
 

@@ -21,7 +21,7 @@ from voile.inverse.objective import Design, Objective
 from voile.inverse.target import Target
 from voile.inverse.verify import sag
 from voile.problem.rest import PanelRest
-from voile.solver.linear import Counts, symmetric, unsymmetric
+from voile.solver.linear import symmetric, unsymmetric
 from voile.solver.path import Arrays
 from voile.solver.stepping.restart import unpacked_history
 
@@ -55,10 +55,10 @@ class Reduced:
         self.objectives = objectives
         self.tangent = problem.create_matrix()
         # By L L^T or L D L^T (its inertia tells a saddle) or, where something slips, by L U.
-        self.symmetric = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, Counts(), "adjoint_")
-        self.unsymmetric = unsymmetric(problem.comm, "adjoint_", Counts())
+        self.symmetric = symmetric(problem.comm, PETSc.KSP.Type.PREONLY, 0.0, target.counts, "adjoint_")
+        self.unsymmetric = unsymmetric(problem.comm, "adjoint_", target.counts)
         self.solver = self.symmetric
-        self.forward, self.adjoint_solves = Forward(problem, accuracy), 0
+        self.forward, self.adjoint_solves = Forward(problem, accuracy, target.counts), 0
         self.start = start.copy()  # of every simulation: see `accept`
         self.began = problem.contact.history.copy() if problem.contact else None
         self.state = self.start.copy()  # the last equilibrium, of the rest shape `at`

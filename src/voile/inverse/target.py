@@ -25,6 +25,7 @@ from voile.problem.rest import RestShape, field_vector
 from voile.problem.scales import slow_rate
 from voile.problem.shell import Shell
 from voile.problem.supports import free_motions, hinged_parts
+from voile.solver.linear import Counts
 from voile.solver.stability import smallest_eigenpair
 
 RESERVE = 0.2  # of what friction has to spare that reactions leave unused: they stick also when disturbed
@@ -52,11 +53,13 @@ class Target:
         tolerance: float,
         friction: bool = True,
         layers: Layers | None = None,
+        counts: Counts | None = None,
     ):
-        """layers: the shell's, where they are in each other's way. Raises InputError where they start in the same place
-        or through each other, NotConverged where no reactions can hold the target."""
+        """layers: the shell's, where they are in each other's way; counts: of the search and its simulations. Raises
+        InputError where layers start in the same place or through each other, NotConverged where no reactions can hold
+        the target."""
         self.problem, self.obstacles, self.offset, self.tolerance = problem, obstacles, offset, tolerance
-        self.layers, self.bounds = layers, Bounds()
+        self.layers, self.bounds, self.counts = layers, Bounds(), counts or Counts()
         self.clock = Clock(problem.comm, 0.0)  # of what is under way: the search, then its proof
         self.rest = RestShape(problem)
         self.tangent = problem.create_matrix()
@@ -339,7 +342,7 @@ class Target:
     def smallest(self, z: PETSc.Vec) -> tuple[float, PETSc.Vec]:
         """Smallest omega^2 (1/s^2) of the target, nan where none is found, and its mode."""
         scale = max(self.problem.time, UNLOADED) * slow_rate(self.problem)
-        return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), scale)
+        return smallest_eigenpair(self.problem, self.stiffness(self.rest.state(z)), scale, self.counts)
 
     # ---- for the simulation ----
 

@@ -108,10 +108,11 @@ def _solved(
     path, origin = None, problem.create_vector()
     try:
         with until(target.clock):
-            path = solve_statics(problem, options, start=start)
+            path = solve_statics(problem, options, start=start, counts=target.counts)
         return path, False
     except TimeIsOver:
-        return Path(start.copy() if start else problem.create_vector(), reason=TIMED_OUT), True
+        state = start.copy() if start else problem.create_vector()
+        return Path(state, reason=TIMED_OUT, counts=target.counts), True
     finally:
         problem.reset_origin(path.state if path else origin)
 

@@ -13,6 +13,7 @@ from voile.mesh import METRES, read_rest, write_obj
 from voile.problem.lifetime import Clock, TimeIsOver, until
 from voile.problem.shell import Shell
 from voile.scene import Scene, read_scene, unsupported
+from voile.solver.linear import Counts
 from voile.solver.path import Path as LoadPath
 from voile.solver.sewing import sew
 from voile.tasks.run import Run, rows
@@ -29,14 +30,14 @@ def estimate(job: Run) -> str:
     scene, model, comm = job.scene, job.model, job.comm
     found = on_root(comm, lambda: _further(scene, model) if model else [])
     others = found or [None] * len(scene.inverse.also)
-    shell, unknown, observations = None, None, []
+    shell, unknown, observations, counts = None, None, [], Counts()
     if scene.shell.rest is None:
         shell = job.sewn()
-        unknown = UnknownRest(job.problem(shell), shell)
+        unknown = UnknownRest(job.problem(shell), shell, counts)
     else:
         others = [(scene, model), *others] if model else [None, *others]
     for other in others:
-        sewn, observation = _observation(other, job)
+        sewn, observation = _observation(other, job, counts)
         observations.append(observation)
         shell = shell or sewn
     search = Estimation(observations, scene.inverse.estimate, scene.inverse.tolerance, unknown)
@@ -57,7 +58,7 @@ def estimate(job: Run) -> str:
     for name, value in result.values.items():
         job.progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
     stable = all(observation.stable for observation in observations)
-    path = LoadPath(state, converged=True, reason="estimate settled", stable=stable)
+    path = LoadPath(state, converged=True, reason="estimate settled", counts=counts, stable=stable)
     job.summarise(problem, path, inverse=_figures(result, len(scene.inverse.also) + 1))
     return ""
 
@@ -132,8 +133,11 @@ def _check_start(scene: Scene) -> None:
             )
 
 
-def _observation(other: tuple[Scene, Model] | None, job: Run) -> tuple[Shell | None, Observation]:
-    """A scene's sewn shell (rank 0's) and what was observed of it; other: scene and model, on rank 0."""
+def _observation(
+    other: tuple[Scene, Model] | None, job: Run, counts: Counts
+) -> tuple[Shell | None, Observation]:
+    """A scene's sewn shell (rank 0's) and what was observed of it; other: scene and model, on rank 0; counts: of the
+    run."""
     comm = job.comm
     observed, steps, obstacles, offset = comm.bcast(on_root(comm, lambda: _seen(*other) if other else None))
     shell = sew(other[1].shell if other else None, comm)
@@ -142,7 +146,7 @@ def _observation(other: tuple[Scene, Model] | None, job: Run) -> tuple[Shell | N
     tables = (job.scene.shell, *job.scene.fabric)
     names = ("shear", "bending_warp", "bending_weft", "bending_twist")
     ruled = [name for name in names if all(getattr(table, name) is None for table in tables)]
-    return shell, Observation(problem, local, obstacles, offset, steps, ruled)
+    return shell, Observation(problem, local, obstacles, offset, steps, ruled, counts)
 
 
 def _seen(scene: Scene, model: Model) -> tuple[Reals | None, int | None, tuple[Obstacle, ...], float]:

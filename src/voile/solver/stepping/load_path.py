@@ -65,8 +65,7 @@ class LoadPath:
     def __init__(self, problem: Problem, y: PETSc.Vec, options: StaticsOptions, path: Path):
         self.problem, self.y, self.asked, self.path = problem, y, options, path
         self.options = Options()
-        self.solver = Solver(problem, options)
-        path.counts = self.solver.work.counts
+        self.solver = Solver(problem, options, path.counts)
         contact = problem.contact
         cuts = self.options.cuts if problem.conservative else self.options.patient
         if contact:
