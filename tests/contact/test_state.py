@@ -161,3 +161,16 @@ def test_sharp_norms_take_no_larger_rho():
     assert pairs[0].rho == 0.01 * STIFFNESS
     assert contact.missed(pairs) < 0.1 * firm
     assert contact.rho(0) == STIFFNESS and contact.missed(contact.pairs(x, 1.0)) == firm
+
+
+@pytest.mark.parametrize("push", [1.0, 1e12])
+def test_what_does_not_pull_sideways_sticks_however_hard_it_is_pressed(push):
+    """Its share of friction's bound was computed, though unused: an overflow above 1e8 N."""
+    everything = np.ones(1, dtype=bool)
+    contact = Contact([plane(0.5)], 0.0, 10.0, everything, everything, 1e-12)
+    x = np.zeros((1, 3))
+    contact.begin(x, 0.0)
+    contact.history.normal[0][0] = push
+    with np.errstate(all="raise"):
+        normal, tangential = contact.pairs(x, 1.0)[0].project()
+    assert normal[0] == push and not tangential.any()

@@ -142,11 +142,10 @@ class Contact(NaturalMap):
             if convex < 1.0:
                 block -= ((1.0 - convex) * (np.maximum(p.lam_n, 0.0) + push))[:, None, None] * p.curvature
             size, slips = lengths(p.lam_t), lengths(p.lam_t) > p.bound
-            share = np.where(slips, p.bound / np.maximum(size, 1e-300), 1.0)
             normal = self.history.frozen_normal[p.index][p.row]
             along = p.lam_t / np.maximum(size, 1e-300)[:, None]
             tangent = np.eye(3) - outer(normal, normal) - slips[:, None, None] * outer(along, along)
-            tangent *= p.along * (share * (p.bound > 0.0))[:, None, None]
+            tangent *= p.along * (p.share * (p.bound > 0.0))[:, None, None]
             yield p.stencil, block + p.over_vertices(tangent, p.slip_weight)
 
     def adopt(self, x: Reals, t: float, softness: float = 1.0) -> None:

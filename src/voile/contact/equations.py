@@ -31,7 +31,7 @@ class Equations:
         self.along = (self.mu * p.gradient_norm)[:, None] * along  # friction per lam_n
         self.tangential = np.eye(3) - outer(p.unit, p.unit)
         self.sideways = self.tangential - outer(along, along)
-        share = np.where(self.slips & (self.mu > 0.0), np.minimum(p.bound / size, 1.0 - 1e-5), 0.0)
+        share = np.where(self.slips & (self.mu > 0.0), np.minimum(p.share, 1.0 - 1e-5), 0.0)
         self.turning = p.along * share / (1.0 - share)  # N/m: friction's direction follows the slip's
         self.pressed = np.maximum(p.lam_n, 0.0)
 

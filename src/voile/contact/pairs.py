@@ -83,11 +83,15 @@ class Pairs:
         found: Flags = (self.lam_n > 0.0) & (lengths(self.lam_t) > self.bound) | (self.friction == 0.0)
         return found
 
+    @property
+    def share(self) -> Reals:
+        """(p,) of the tangential trial reaction that friction's bound leaves."""
+        size = lengths(self.lam_t)
+        return np.divide(self.bound, size, out=np.ones_like(size), where=size > self.bound)
+
     def project(self) -> tuple[Reals, Reals]:
         """Projection of the trial reaction on the cone: normal (p,) and tangential (p, 3) parts, N."""
-        size = lengths(self.lam_t)
-        share = np.where(size > self.bound, self.bound / np.maximum(size, 1e-300), 1.0)
-        return np.maximum(self.lam_n, 0.0), share[:, None] * self.lam_t
+        return np.maximum(self.lam_n, 0.0), self.share[:, None] * self.lam_t
 
     def spread(self, normal: Reals, tangential: Reals, total: Reals) -> None:
         """Adds reactions, normal (p,) along the gradient and tangential (p, 3), to the vertices' forces (n, 3)."""
