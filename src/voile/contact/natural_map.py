@@ -73,6 +73,11 @@ class NaturalMap:
         """N/m, scale of the natural map with partner k, across the surface; softness: a factor on it."""
         return softness * self._scale * (1.0 if k < len(self.obstacles) else LAYERS)
 
+    def softest(self, depth: float) -> float:
+        """The softness at which the reactions to obstacles on this rank sink by up to `depth` (m)."""
+        normal = self.history.normal[: len(self.obstacles)]
+        return max((float(n.max(initial=0.0)) for n in normal), default=0.0) / (self._scale * depth)
+
     def sliding(self, softness: float = 1.0) -> float:
         """N/m, the same along any surface: about what resists there. What slips and turns back sticks within a way of
         twice friction's bound over it, so it never hardens, nor are layers tight along each other."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from voile.problem.augmented import AugmentedContact
@@ -30,9 +31,13 @@ class Options:
     sheets whose supports move took 13,700 factorisations from 1e-4, 8,000 from 1e-2, more from 1; others as many.
     hardening: its factor after an update of which the laws miss more than `enough` of what they missed at the one
     before, as in algorithm 17.4 of Nocedal & Wright (2006). What is as stiff at once as the shell's membrane makes
-    descents of cloths creep: hundreds of steps of a thousandth. iterations of a descent.
-    astray: sizes of the shell, a depth in an obstacle on the straight way: of 15 everyday scenes all and only those
-    came so deep that pseudo-time had to solve again."""
+    descents of cloths creep: hundreds of steps of a thousandth. sunk: sizes of the shell by which no reaction that
+    there is may sink: contact starts the stiffer. Rubber drawn over a box pressed 130 times its weight on it, and each
+    load step hardened contact anew, after descents that led far off (2,567 iterations for 1,018). iterations: of all
+    descents; of 129 runs on 70 everyday scenes that converged none took as many. hopeless: times the tolerance, beyond
+    which the semismooth method is not tried: of 43 such tries one converged. astray: sizes of the shell, a depth in an
+    obstacle on the straight way: of 15 everyday scenes all and only those came so deep that pseudo-time had to solve
+    again."""
 
     updates: int = 15
     idle: int = 3
@@ -41,7 +46,9 @@ class Options:
     stiffest: float = 1.0
     hardening: float = 10.0
     enough: float = 0.25
+    sunk: float = 0.01
     iterations: int = 300
+    hopeless: float = 1e10
     astray: float = 0.02
 
 
@@ -61,20 +68,20 @@ class AugmentedLagrangian:
         self.options = options or Options()
 
     def solve(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
-        """See Method. Between layers of the shell contact does not start soft: they would collapse, and then no step
-        is free."""
+        """See Method."""
         contact, options = contact_of(problem), self.options
-        potential = AugmentedContact(contact, 1.0 if contact.itself else options.softest)
+        potential = AugmentedContact(contact, self._softness(problem))
         potential.freeze(problem.point(y))
         rough = options.roughest * tolerance
         if not contact.itself:
             perturb(problem, y, self.perturbation)
         missed = least = np.inf
-        updates = idle = 0
-        while updates < options.updates and idle < options.idle:
+        updates, idle, left = 0, 0, options.iterations
+        while updates < options.updates and idle < options.idle and left > 0:
             held = problem.with_terms(potential)
             astray = Astray(held, options.astray) if problem.held else None
-            done = self.descent.run(held, y, max(tolerance, rough), options.iterations, astray)
+            done = self.descent.run(held, y, max(tolerance, rough), left, astray)
+            left -= self.descent.nonlinear.iterations
             if not done and not to_round_off(held, y, self.descent.nonlinear.norm, max(tolerance, rough)):
                 return self.descent.nonlinear.missed(self.name, y)
             before, missed = missed, law_norms(problem, y, y.duplicate(), tolerance)[1]
@@ -91,9 +98,19 @@ class AugmentedLagrangian:
         reason = f"{updates} updates of the reactions did not converge; {failed.reason}"
         return replace(failed, reason=reason)
 
+    def _softness(self, problem: Problem) -> float:
+        """Contact's stiffness in the first descent. Layers of the shell would collapse, and then no step is free."""
+        contact, options = contact_of(problem), self.options
+        if contact.itself:
+            return 1.0
+        softness = problem.reduced(contact.softest(options.sunk * problem.size()), MPI.MAX)
+        return max(options.softest, min(float(softness), 1.0))
+
     def _finish(self, problem: Problem, y: PETSc.Vec, tolerance: float) -> Outcome:
         """The equilibrium that the updated reactions are those of, or near enough for the semismooth method."""
         norm = math.hypot(*law_norms(problem, y, y.duplicate(), tolerance))
         if norm <= tolerance:
             return Outcome(True, self.name, norm=norm)
+        if norm > self.options.hopeless * tolerance:
+            return Outcome(False, self.name, norm=norm)
         return attempt(self.semismooth, problem, y, tolerance)
