@@ -108,7 +108,7 @@ class Contact(NaturalMap):
         if rubs.any():
             these = rows[rubs]
             moved = partner.moved(these, s.frozen_weight[k][these], wide, t, s)
-            along = self.sliding(softness)
+            along = self.sliding
             trial = within(s.frozen_normal[k][these], s.friction[k][these] - along * moved)
             size, bound = lengths(trial), s.tresca[k][these]
             laws[rubs] += np.where(size <= bound, 0.5 * size**2, bound * (size - 0.5 * bound)) / along

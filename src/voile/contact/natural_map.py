@@ -78,10 +78,12 @@ class NaturalMap:
         normal = self.history.normal[: len(self.obstacles)]
         return max((float(n.max(initial=0.0)) for n in normal), default=0.0) / (self._scale * depth)
 
-    def sliding(self, softness: float = 1.0) -> float:
+    @property
+    def sliding(self) -> float:
         """N/m, the same along any surface: about what resists there. What slips and turns back sticks within a way of
-        twice friction's bound over it, so it never hardens, nor are layers tight along each other."""
-        return min(softness, 1.0) * self._scale
+        twice friction's bound over it, so it never hardens, nor are layers tight along each other. Nor does it soften:
+        what sticks would creep from step to step of pseudo-time."""
+        return self._scale
 
     def reach(self, k: int) -> float:
         """Gap (m) to partner k within which a contact without a reaction may carry one. Where none does yet, that is as
@@ -197,7 +199,7 @@ class NaturalMap:
 
     def pairs(self, x: Reals, t: float, softness: float = 1.0) -> list[Pairs]:
         """The pairs with each partner that may carry a reaction, under the laws; softness: of rho."""
-        return self._pairs(x, t, self.sliding(softness), self._rhos(softness))
+        return self._pairs(x, t, self.sliding, self._rhos(softness))
 
     def measured_pairs(self, x: Reals, t: float, sharp: float = np.inf) -> list[Pairs]:
         """The same for norms: layers with the rho of obstacles, and none above `sharp` (N/m). The laws are the same
@@ -207,11 +209,11 @@ class NaturalMap:
 
     def frozen_pairs(self, x: Reals, t: float, softness: float) -> list[Pairs]:
         """The same with the normals, weights and friction bounds of the history instead of x's."""
-        return self._pairs(x, t, self.sliding(softness), self._rhos(softness), frozen=True)
+        return self._pairs(x, t, self.sliding, self._rhos(softness), frozen=True)
 
     def opening_pairs(self, x: Reals, t: float) -> list[Pairs]:
         """As `pairs`, of which equations decide what opens: see `opening`."""
-        return self._pairs(x, t, self.sliding(), self._rhos(self.opening))
+        return self._pairs(x, t, self.sliding, self._rhos(self.opening))
 
     def _rhos(self, softness: float = 1.0) -> list[float]:
         return [self.rho(k, softness) for k in range(len(self.partners))]
