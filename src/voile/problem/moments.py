@@ -36,8 +36,8 @@ class EndMoments:
     def linearise(self, x: Reals) -> None:
         """Evaluates the skew part of the derivative at positions x (vertices, 3); the kernel has the symmetric one."""
         corner = x.ravel()[self._dofs].reshape(-1, 3, 3)
-        columns = [turn_derivative(corner, unit.reshape(3, 3)).reshape(-1, 9) for unit in np.eye(9)]
-        derivative = self._moment[:, None, None] * np.stack(columns, axis=2)
+        columns = turn_derivative(corner, np.eye(9).reshape(9, 1, 3, 3)).reshape(9, -1, 9)
+        derivative = self._moment[:, None, None] * columns.transpose(1, 2, 0)
         self._skew = 0.5 * (derivative - derivative.transpose(0, 2, 1))
 
     def skew_forces(self, motion: Reals) -> Reals:
@@ -48,12 +48,13 @@ class EndMoments:
 
 
 def turn_derivative(corner: Reals, motion: Reals) -> Reals:
-    """(k, 3, 3) derivative along a motion (3, 3) of the gradient of triangles' turn, (k, 3, 3), about their edge e_0
-    opposite corner 0: at corner j it is -(e_0 . e_j) N / (|N|^2 |e_0|) with N = e_0 x e_1 (src/cpp/geometry.hpp)."""
-    e, de = (np.roll(x, -2, axis=-2) - np.roll(x, -1, axis=-2) for x in (corner, motion))
-    e0, de0 = e[:, :1], de[:1]
-    normal = np.cross(e0, e[:, 1:2])
-    d_normal = np.add(np.cross(de0, e[:, 1:2]), np.cross(e0, de[1]), dtype=float)
+    """(..., k, 3, 3) derivative along motions (..., k or 1, 3, 3) of the gradient of triangles' turn, (k, 3, 3), about
+    their edge e_0 opposite corner 0: at corner j it is -(e_0 . e_j) N / (|N|^2 |e_0|) with N = e_0 x e_1
+    (src/cpp/geometry.hpp)."""
+    e, de = (x[..., [2, 0, 1], :] - x[..., [1, 2, 0], :] for x in (corner, motion))
+    e0, e1, de0, de1 = e[..., :1, :], e[..., 1:2, :], de[..., :1, :], de[..., 1:2, :]
+    normal = np.cross(e0, e1)
+    d_normal = np.cross(de0, e1) + np.cross(e0, de1)
     area, length = _dot(normal, normal), _dot(e0, e0)
     relative = 2.0 * _dot(normal, d_normal) / area + _dot(e0, de0) / length
     change = (_dot(de0, e) + _dot(e0, de)) * normal + _dot(e0, e) * (d_normal - relative * normal)

@@ -87,6 +87,6 @@ def hessian(x: Reals) -> Reals:
     found = np.zeros((len(x), 18, 18))
     for share, corners in zip(SHARES, CORNERS, strict=True):
         place = (3 * corners[:, None] + np.arange(3)).ravel()
-        columns = [turn_derivative(x[:, corners], unit.reshape(3, 3)).reshape(-1, 9) for unit in np.eye(9)]
-        found[np.ix_(np.arange(len(x)), place, place)] -= share * np.stack(columns, axis=2)
+        columns = turn_derivative(x[:, corners], np.eye(9).reshape(9, 1, 3, 3)).reshape(9, -1, 9)
+        found[np.ix_(np.arange(len(x)), place, place)] -= share * columns.transpose(1, 2, 0)
     return 0.5 * (found + found.transpose(0, 2, 1))  # the turns' skew parts cancel up to round-off
