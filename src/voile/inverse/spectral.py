@@ -49,11 +49,9 @@ class Model:
 
     def at(self, c: Reals) -> Reals:
         """The matrix at c."""
-        found: Reals = (
-            self.matrix
-            + np.tensordot(c, self.slopes, 1)
-            - self.sink * float(c @ c) * np.eye(len(self.matrix))
-        )
+        turned = c @ self.slopes.reshape(len(c), self.matrix.size)
+        found: Reals = self.matrix + turned.reshape(self.matrix.shape)
+        np.einsum("ii->i", found)[:] -= self.sink * float(c @ c)
         return found
 
     def slopes_at(self, c: Reals) -> Reals:
