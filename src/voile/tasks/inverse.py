@@ -50,7 +50,7 @@ def run(job: Run) -> str:
     job.summarise(
         result.target.problem,
         result.simulation.path,
-        {**result.seconds, "input_output": rest},
+        {**result.seconds, "linear_solve": result.target.counts.seconds, "input_output": rest},
         converged=result.converged,
         reason=result.reason,
         stable=result.stable and result.simulation.path.stable,
