@@ -59,7 +59,9 @@ def estimate(job: Run) -> str:
         job.progress.line(f"{name} = {value:.6g}, standard deviation {result.deviations[name]:.2g}")
     stable = all(observation.stable for observation in observations)
     path = LoadPath(state, converged=True, reason="estimate settled", counts=counts, stable=stable)
-    job.summarise(problem, path, {"linear_solve": counts.seconds}, inverse=_figures(result, len(scene.inverse.also) + 1))
+    job.summarise(
+        problem, path, {"linear_solve": counts.seconds}, inverse=_figures(result, len(scene.inverse.also) + 1)
+    )
     return ""
 
 
